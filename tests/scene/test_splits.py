@@ -30,6 +30,17 @@ def write(root: Path, lists: dict[str, object], listed: list[str] = NAMES) -> Pa
     return root
 
 
+def write_parts(root: Path, letters: dict[str, str]) -> Path:
+    """Blender's files: photos of each by their letters."""
+    write(root, {})
+    (root / "transforms.json").unlink()
+    for kind, chosen in letters.items():
+        frames = [frame(name, ord(name[0])) for name in named(chosen)]
+        values = {"camera_angle_x": 0.7, "frames": frames}
+        (root / f"transforms_{kind}.json").write_text(json.dumps(values))
+    return root
+
+
 def parts(scene: Scene) -> tuple[str, str]:
     return tuple("".join(scene.views[i].name[0] for i in p) for p in (scene.train, scene.test))
 
@@ -99,16 +110,28 @@ def test_a_list_of_another_kind_is_one_line(tmp_path: Path, value: object) -> No
 def test_blenders_file_for_validation_is_for_that(
     tmp_path: Path, kinds: tuple[str, ...], split: Split, expected: tuple[str, str]
 ) -> None:
-    write(tmp_path, {})
-    (tmp_path / "transforms.json").unlink()
-    for kind, letters in (("train", "abc"), ("test", "de"), ("val", "f")):
-        if kind in ("train", *kinds):
-            frames = [frame(name, ord(name[0])) for name in named(letters)]
-            values = {"camera_angle_x": 0.7, "frames": frames}
-            (tmp_path / f"transforms_{kind}.json").write_text(json.dumps(values))
-    scene = load_scene(tmp_path, split)
+    letters = {"train": "abc", "test": "de", "val": "f"}
+    scene = load_scene(write_parts(tmp_path, {k: letters[k] for k in ("train", *kinds)}), split)
     assert parts(scene) == expected
     assert scene.account.split.startswith("transforms_train.json and its ")
+
+
+@pytest.mark.parametrize(("split", "expected"), [("every8", "de"), ("validation", "de")])
+def test_photos_of_the_test_listed_for_validation_too_are_used_once(
+    tmp_path: Path, split: Split, expected: str
+) -> None:
+    write_parts(tmp_path, {"train": "abc", "test": "de", "val": "de"})
+    scene = load_scene(tmp_path, split)
+    assert parts(scene) == ("abc", expected) and len(scene.views) == 5
+    assert "2 photos are listed twice (d.png, e.png): each is used once" in scene.notes
+
+
+def test_a_photo_of_two_poses_is_refused(tmp_path: Path) -> None:
+    write_parts(tmp_path, {"train": "abc", "test": "de", "val": "d"})
+    values = {"camera_angle_x": 0.7, "frames": [frame("d.png", 7)]}
+    (tmp_path / "transforms_val.json").write_text(json.dumps(values))
+    with pytest.raises(SceneError, match=r"image d\.png: found it twice"):
+        load_scene(tmp_path)
 
 
 def test_far_views_are_in_no_part() -> None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.files import read_regular
-from gsynopsis.scene.account import Account
+from gsynopsis.scene.account import Account, listed
 from gsynopsis.scene.camera import Camera, nearest_rotation, world_to_camera
 from gsynopsis.scene.colmap.distortion import STRAIGHT, Lens
 from gsynopsis.scene.colmap.model import (
@@ -151,20 +151,23 @@ def read_transforms(root: Path, files: tuple[Path, ...]) -> SceneRecords:
     """
     tables, reader = [_load(path) for path in files], _Frames(root)
     parts = [reader.views(table) for table in tables]
-    views = tuple(view for part in parts for view in part)
+    views, repeated = _once([view for part in parts for view in part])
     top, (points, colors) = tables[0], NO_POINTS
     if top.values.get("ply_file_path") is not None:
         points, colors = read_ply(place_of(top.path, root, top.text("ply_file_path")))
     account = reader.account(files, views)
     if len(files) > 1:
         held = [frozenset(view.name for view in part) for part in parts]
-        listed = dict(zip([file.name for file in files], held, strict=True))
-        names = [listed.get(name, frozenset[str]()) for name in PARTS]
-        lists = SplitLists(_parts_text([*listed]), *names)
+        by_file = dict(zip([file.name for file in files], held, strict=True))
+        names = [by_file.get(name, frozenset[str]()) for name in PARTS]
+        lists = SplitLists(_parts_text([*by_file]), *names)
     else:
         lists, unknown = reader.lists(top, views)
         account = account.with_unread_models(*unknown)
     notes = (*reader.photographs.notes, *reader.scale_notes(), *reader.moment_notes())
+    if repeated:
+        again = f"{len(repeated)} photos are listed twice ({listed(repeated)})"
+        notes += (f"{again}: each is used once",)
     if top.values.get(NOTE) is not None:
         notes += (top.text(NOTE),)
     up = top.direction(UP)
@@ -190,6 +193,27 @@ def read_poses(path: Path) -> list[Camera]:
         own = _intrinsics(frame, photo if sized else None, STRAIGHT)
         out.append(Camera(own.width, own.height, own.fx, own.fy, own.cx, own.cy, w2c))
     return out
+
+
+def _once(views: Sequence[View]) -> tuple[tuple[View, ...], list[str]]:
+    """Views without those listed before with the same camera, and the names of these.
+
+    Who has no photos to choose settings by lists those of the test twice.
+    """
+    first: dict[str, View] = {}
+    kept, repeated = list[View](), list[str]()
+    for view in views:
+        known = first.setdefault(view.name, view)
+        if known is not view and _same_camera(known.camera, view.camera):
+            repeated.append(view.name)
+        else:
+            kept.append(view)
+    return tuple(kept), repeated
+
+
+def _same_camera(one: Camera, other: Camera) -> bool:
+    lenses = [(c.width, c.height, c.fx, c.fy, c.cx, c.cy) for c in (one, other)]
+    return lenses[0] == lenses[1] and bool((one.w2c == other.w2c).all())
 
 
 def _parts_text(names: Sequence[str]) -> str:
