@@ -103,7 +103,7 @@ def find_features(
     """
     colmap = load_pycolmap()
     options = colmap.FeatureExtractionOptions()
-    options.num_threads, options.sift.max_num_features = _threads(), features
+    options.num_threads, options.sift.max_num_features = threads(), features
     _remove_begun_camera(colmap, database)
     done, total = 0, len(gathered.photos)
     for group, cut in _groups(gathered.photos):
@@ -176,10 +176,10 @@ def match_features(gathered: PhotoSet, database: Path, matching: Matching, tick:
     """
     names = [photo.name for photo in gathered.photos]
     pairs = _pairs(gathered.photos, matching)
-    _match(database, names, pairs, tick)
+    match_pairs(database, names, pairs, tick)
     if matching != "exhaustive":
         more = transitive_pairs(_verified(database, names), pairs)
-        _match(database, names, more, tick)
+        match_pairs(database, names, more, tick)
 
 
 def sources_of(photos: Sequence[Photo]) -> list[str]:
@@ -273,9 +273,7 @@ def undistort(photos: Path, folder: Path, out: Path) -> None:
     colmap = load_pycolmap()
     draft = folder.with_name("undistorted")
     shutil.rmtree(draft, ignore_errors=True)
-    colmap.undistort_images(
-        draft, folder, photos, jpeg_quality=JPEG_QUALITY, num_threads=_threads()
-    )
+    colmap.undistort_images(draft, folder, photos, jpeg_quality=JPEG_QUALITY, num_threads=threads())
     model = draft / "model"
     model.mkdir()
     for name in ("cameras", "images", "points3D"):
@@ -329,7 +327,8 @@ def _camera_text(camera: Any) -> str:
     return f"{camera.model_name} {camera.width} × {camera.height}, focal length {focal} px"
 
 
-def _threads() -> int:
+def threads() -> int:
+    """Cores that this process may use; -1: all."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else -1
 
 
@@ -352,10 +351,18 @@ def _known(colmap: Any, database: Path, names: Sequence[str]) -> tuple[set[str],
     return there, ours[0].camera_id if ours else None
 
 
-def _match(database: Path, names: Sequence[str], pairs: Sequence[Pair], tick: Tick) -> None:
+def match_pairs(database: Path, names: Sequence[str], pairs: Sequence[Pair], tick: Tick) -> None:
+    """Compare pairs of photos, places in `names`, and keep what one geometry explains.
+
+    Args:
+        database: With keypoints.
+        names: Of the photos.
+        pairs: Which.
+        tick: Called with progress.
+    """
     colmap = load_pycolmap()
     options, pairing = colmap.FeatureMatchingOptions(), colmap.ImportedPairingOptions()
-    options.num_threads = _threads()
+    options.num_threads = threads()
     geometry = colmap.TwoViewGeometryOptions()
     geometry.ransac.random_seed = SEED
     with colmap.Database.open(database) as opened:
@@ -391,7 +398,7 @@ def _verified(database: Path, names: Sequence[str]) -> Iterator[tuple[Pair, int]
 
 def _map_globally(colmap: Any, database: Path, photos: Path, scratch: Path, refined: bool) -> Any:
     options, calibration = colmap.GlobalPipelineOptions(), colmap.ViewGraphCalibrationOptions()
-    options.num_threads, options.random_seed = _threads(), SEED
+    options.num_threads, options.random_seed = threads(), SEED
     # The pipeline's seed does not reach its parts.
     mapper = options.mapper
     for part in (mapper, mapper.rotation_averaging, mapper.global_positioning, calibration):
@@ -416,7 +423,7 @@ def _map_globally(colmap: Any, database: Path, photos: Path, scratch: Path, refi
 
 def _map_in_steps(colmap: Any, database: Path, photos: Path, scratch: Path, refined: bool) -> Any:
     options = colmap.IncrementalPipelineOptions()
-    options.num_threads, options.random_seed, options.min_model_size = _threads(), SEED, FEWEST
+    options.num_threads, options.random_seed, options.min_model_size = threads(), SEED, FEWEST
     options.ba_refine_sensor_from_rig = False
     options.ba_refine_focal_length = options.ba_refine_extra_params = refined
     return _mapped(lambda out: colmap.incremental_mapping(database, photos, out, options), scratch)

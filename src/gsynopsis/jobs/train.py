@@ -1,5 +1,7 @@
 """A scene to a run: poses, settings, plan, phases, file, report; each step resumable."""
 
+import hashlib
+import os
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
@@ -7,9 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from gsynopsis.capture.triangulate import triangulate
 from gsynopsis.capture.video import is_video
 from gsynopsis.config import PresetName, Recipe, Split, resolve_settings
-from gsynopsis.errors import NoPosesError, SettingError
+from gsynopsis.errors import MissingExtraError, NoPosesError, SettingError
 from gsynopsis.jobs.estimate_poses import POSED, pose_for
 from gsynopsis.jobs.evaluate import Measures
 from gsynopsis.jobs.options import RunOptions
@@ -18,10 +21,7 @@ from gsynopsis.jobs.start import Fresh
 from gsynopsis.jobs.train_blocks import division_of, train_in_blocks
 from gsynopsis.jobs.train_run import make_context, tell_plan, train_run
 from gsynopsis.monitor.display import Display
-from gsynopsis.runs.folder import (
-    Run,
-    read_run,
-)
+from gsynopsis.runs.folder import Run, make_folder, read_run
 from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.masks import MaskUse, no_masks
 from gsynopsis.scene.scene import Scene, SceneOptions
@@ -137,6 +137,8 @@ def train(  # noqa: PLR0913 -- flat keywords, as people call it
             if masks == "loss" and not scene.masked:
                 raise no_masks(scene.root, "loss")
 
+        scene = with_found_points(scene, out, group, observer)
+
         recipe = preset
         if isinstance(recipe, str):
             asked |= _bounded_width(scene, asked, max_width)
@@ -169,6 +171,32 @@ def posed_scene(
             pass
     group.on_main(lambda: pose_for(folder, out, observer, alpha=reading.masks == "alpha"))
     return load_scene(out / POSED, split, reading)
+
+
+def with_found_points(scene: Scene, out: Path, group: ProcessGroup, observer: Observer) -> Scene:
+    """The scene with points that its photos show, if its files have none; they are kept in OUT."""
+    if not scene.random_points:
+        return scene
+    group.on_main(lambda: make_folder(out))
+    source = hashlib.sha256(f"{scene.fingerprint()} {scene.train}".encode()).hexdigest()
+    path = out / f"points-{source[:12]}.ply"
+
+    def find() -> None:
+        if path.is_file():
+            return
+        try:
+            count = triangulate(scene, path, observer.on_pass)
+        except MissingExtraError as error:
+            observer.on_message(f"points are not looked for in the photos: {error}")
+            return
+        if not path.is_file():
+            observer.on_message(f"only {count} points were found in the photos: random ones it is")
+
+    group.on_main(find)
+    if not path.is_file():
+        return scene
+    beside = os.path.relpath(path.resolve(), scene.root.resolve())
+    return load_scene(scene.root, scene.split, replace(scene.reading, points=beside))
 
 
 def _asked(settings: Mapping[str, Any] | None, **named: object) -> dict[str, Any]:

@@ -54,7 +54,7 @@ def load_scene(
     """
     path, reading = Path(path), reading or DEFAULT_OPTIONS
     try:
-        listing, shift = near_origin(with_fallback_points(_read(path, reading)))
+        listing, shift = near_origin(_with_points(path, _read(path, reading), reading))
         listing = replace(listing, notes=listing.notes + check_listing(listing))
         listing = with_masks(path, listing, reading.masks)
     except OSError as error:
@@ -79,11 +79,23 @@ def load_scene(
         split=listing.lists.source if listing.lists else f"rule {split}",
     )
     scene = _without_far_points(
-        replace(scene, reading=reading, account=account, shift=shift, up=listing.up), listing.path
+        replace(
+            scene,
+            reading=reading,
+            account=account,
+            shift=shift,
+            up=listing.up,
+            random_points=listing.random_points,
+        ),
+        listing.path,
     )
     places = np.stack([views[view].camera.position for view in near])
     scene = replace(scene, notes=(*scene.notes, *parallax_notes(places, scene.points)))
     return _within_masks(scene) if reading.masks == "empty" and scene.masked else scene
+
+
+def _with_points(path: Path, listing: SceneRecords, reading: SceneOptions) -> SceneRecords:
+    return with_fallback_points(listing, path / reading.points if reading.points else None)
 
 
 def _within_masks(scene: Scene) -> Scene:

@@ -66,6 +66,20 @@ def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     return points, colors
 
 
+def ply_bytes(points: NDArray[np.float64], colors: NDArray[np.uint8]) -> bytes:
+    """A binary PLY of points [P, 3] and their colours [P, 3]; `read_ply` gives the same."""
+    fields = [*((axis, "<f8") for axis in "xyz"), *((shade, "u1") for shade in SHADES)]
+    table = np.empty(len(points), np.dtype(fields))
+    for place, axis in enumerate("xyz"):
+        table[axis] = points[:, place]
+    for place, shade in enumerate(SHADES):
+        table[shade] = colors[:, place]
+    properties = [*(f"property double {a}" for a in "xyz")]
+    properties += [f"property uchar {shade}" for shade in SHADES]
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *properties]
+    return ("\n".join([*head, "end_header"]) + "\n").encode() + table.tobytes()
+
+
 def _read_vertices(path: Path, file: BinaryIO) -> NDArray[np.void]:
     """The vertices as they are stored, [P]; what stands behind them is not read."""
     head = file.read(HEADER_MOST)

@@ -80,10 +80,13 @@ class SceneOptions:
         images: Folder of the photos as seen from the scene's; empty: `images`. Photos there may be
             copies of another size. For COLMAP models only.
         masks: Use of masks, see `masks.MaskUse`.
+        points: PLY as seen from the scene's folder, with points for files that have none; empty:
+            random ones. See `capture.triangulate`.
     """
 
     images: str = ""
     masks: MaskUse = "loss"
+    points: str = ""
 
 
 DEFAULT_OPTIONS = SceneOptions()
@@ -108,6 +111,7 @@ class Scene:
         account: Account of the folder: files used, and files that are not.
         shift: What was taken from all coordinates, world units; 0 but where float32 needs it.
         up: Away from the ground, not zero; None: as the cameras have it.
+        random_points: True if the files have no points, and random ones stand in.
 
     Examples:
         >>> scene = gs.load_scene("scene")
@@ -131,6 +135,7 @@ class Scene:
     account: Account = field(default_factory=Account)
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
     up: tuple[float, float, float] | None = None
+    random_points: bool = False
 
     def __repr__(self) -> str:
         """Counts; poses and points of a scene fill pages."""

@@ -15,7 +15,7 @@ from gsynopsis.scene.colmap.distortion import warp_of
 from gsynopsis.scene.colmap.model import Pinhole
 from gsynopsis.scene.outliers import far_cameras
 from gsynopsis.scene.photos import AS_STORED, PhotoForm, expect_size
-from gsynopsis.scene.ply import GREY
+from gsynopsis.scene.ply import GREY, read_ply
 from gsynopsis.scene.spheres import VIEWS, Cut, cuts_of
 from gsynopsis.scene.splits import SplitLists
 from gsynopsis.scene.stored import QUARTER_TURNS, PhotoHeader, profile_notes, read_header
@@ -75,6 +75,7 @@ class SceneRecords:
         notes: Sentences for `Scene.notes`.
         account: The reader's part of the account.
         up: Away from the ground, not zero; None: as the cameras have it.
+        random_points: True if the files have no points, and random ones stand in.
     """
 
     path: Path
@@ -85,6 +86,7 @@ class SceneRecords:
     notes: tuple[str, ...] = ()
     account: Account = field(default_factory=Account)
     up: tuple[float, float, float] | None = None
+    random_points: bool = False
 
 
 def view_of(
@@ -219,17 +221,31 @@ def moved(camera: Camera, by: NDArray[np.float64]) -> Camera:
     return replace(camera, w2c=w2c)
 
 
-def with_fallback_points(listing: SceneRecords) -> SceneRecords:
-    """The listing with random points where it has none, and a note that says so."""
+def with_fallback_points(listing: SceneRecords, found: Path | None = None) -> SceneRecords:
+    """The listing with other points where it has none, and a note that says so.
+
+    Args:
+        listing: What the files hold.
+        found: PLY of points that were found in the photos; where there is none, or no such file,
+            random ones stand in.
+
+    Raises:
+        SceneError: the PLY is damaged.
+    """
     if len(listing.points) or not listing.views:
         return listing
+    told = f"{listing.account.source} has no points"
+    if found is not None and found.is_file():
+        points, colors = read_ply(found)
+        note = f"{told}: {len(points):,} were found in the photos by their poses"
+        return replace(listing, points=points, colors=colors, notes=(*listing.notes, note))
     points = _random_points(listing.views)
     note = (
-        f"{listing.account.source} has no points: {len(points)} random ones inside the cameras' "
-        "bounding sphere stand in for them"
+        f"{told}: {len(points)} random ones inside the cameras' bounding sphere stand in for them"
     )
     colors = np.full(points.shape, GREY, np.uint8)
-    return replace(listing, points=points, colors=colors, notes=(*listing.notes, note))
+    notes = (*listing.notes, note)
+    return replace(listing, points=points, colors=colors, notes=notes, random_points=True)
 
 
 def _random_points(views: Sequence[View]) -> NDArray[np.float64]:

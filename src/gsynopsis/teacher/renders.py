@@ -20,6 +20,7 @@ from gsynopsis.model.splats import SplatModel
 from gsynopsis.render.base import Renderer
 from gsynopsis.scene.camera import STILL, Camera, Shift
 from gsynopsis.scene.photos import load_photo
+from gsynopsis.scene.ply import ply_bytes
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.transforms import NOTE, UP
 from gsynopsis.scene.views import View
@@ -129,7 +130,7 @@ def write_scene(
     Raises:
         SpaceError: the disk is full.
     """
-    publish(folder / POINTS, _ply(points, colors))
+    publish(folder / POINTS, ply_bytes(points, colors))
     frames = [
         {
             "file_path": f"{IMAGES}/{name_of(part, number)}",
@@ -168,16 +169,3 @@ def _opengl(camera: Camera) -> NDArray[np.float64]:
     c2w[:3, :3] = camera.w2c[:3, :3].T * [1, -1, -1]
     c2w[:3, 3] = camera.position
     return c2w
-
-
-def _ply(points: NDArray[np.float64], colors: NDArray[np.uint8]) -> bytes:
-    fields = [*((axis, "<f8") for axis in "xyz"), *((c, "u1") for c in ("red", "green", "blue"))]
-    table = np.empty(len(points), np.dtype(fields))
-    for place, axis in enumerate("xyz"):
-        table[axis] = points[:, place]
-    for place, color in enumerate(("red", "green", "blue")):
-        table[color] = colors[:, place]
-    properties = [*(f"property double {a}" for a in "xyz")]
-    properties += [f"property uchar {c}" for c in ("red", "green", "blue")]
-    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *properties]
-    return ("\n".join([*head, "end_header"]) + "\n").encode() + table.tobytes()
