@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gsynopsis.capture.matching import Pair
-from gsynopsis.capture.sfm import load_pycolmap, match_pairs, threads
+from gsynopsis.capture.sfm import SEED, load_pycolmap, match_pairs, threads
 from gsynopsis.files import publish, write_error
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.ply import ply_bytes
@@ -113,8 +113,8 @@ def _found(scene: Scene, work: Path, told: Told) -> tuple[NDArray[np.float64], N
     model = _triangulated(work, photos, database, dict(zip(names, cameras, strict=True)))
     told("triangulating points", 1, 1)
     good = [p for p in model.points3D.values() if p.error <= LARGEST_ERROR]
-    points = np.array([p.xyz for p in good], np.float64).reshape(-1, 3)
-    return points, np.array([p.color for p in good], np.uint8).reshape(-1, 3)
+    points = np.array([p.xyz for p in good], np.float32).reshape(-1, 3)
+    return points.astype(np.float64), np.array([p.color for p in good], np.uint8).reshape(-1, 3)
 
 
 def _find_keypoints(photos: Path, database: Path, names: Sequence[str], told: Told) -> None:
@@ -158,8 +158,8 @@ def _triangulated(work: Path, photos: Path, database: Path, cameras: dict[str, C
     (known / "images.txt").write_text("".join(poses), "utf-8")
     (known / "points3D.txt").write_text("", "utf-8")
     options = colmap.IncrementalPipelineOptions()
-    options.num_threads = threads()
-    options.random_seed = 0
+    # The solver's last bits vary: fewer with one thread, and none once they are rounded.
+    options.num_threads, options.random_seed = 1, SEED
     return colmap.triangulate_points(
         colmap.Reconstruction(known), database, photos, found, options=options
     )
