@@ -142,7 +142,7 @@ def main() -> None:
     options = tyro.cli(Options, description=__doc__)
     if options.scenes is not None:
         write_rows(ROWS, stored_rows(options.scenes / "results.csv", TEXT))
-        write_rows(LINES, list(lines_of(options.scenes, "fast")))
+        write_rows(LINES, list(lines_of(options.scenes, "standard")))
     if options.steps is not None:
         write_rows(STEPS, stored_rows(options.steps / "results.csv", TEXT))
     rows, steps = stored_rows(ROWS, TEXT), stored_rows(STEPS, TEXT)
