@@ -13,7 +13,13 @@ from gsynopsis.scene.colmap.read import read_colmap
 from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.photos import load_photo
 from gsynopsis.scene.stored import ORIENTATION
-from gsynopsis.scene.views import check_listing, parallax_notes, place_of
+from gsynopsis.scene.views import (
+    NEAR,
+    check_listing,
+    parallax_notes,
+    place_of,
+    with_fallback_points,
+)
 
 LIST, FOLDER = Path("sparse/0/images.bin"), Path("scene/images")
 
@@ -150,3 +156,24 @@ def test_what_photos_say_and_is_not_followed_is_a_line(tiny) -> None:
 def test_cameras_in_nearly_one_place_are_a_line(step: float, told: bool) -> None:
     places, points = np.array([[0.0, 0, 0], [step, 0, 0]]), np.full((9, 3), 5.0)
     assert bool(parallax_notes(places, points)) is told
+
+
+def test_points_that_stand_in_are_where_most_cameras_look(small_room):
+    """Point by point: many cameras see it, and it is not right before any."""
+    root = small_room / "sparse" / "0"
+    listing = dataclasses.replace(read_colmap(small_room, root), points=np.zeros((0, 3)))
+    found = with_fallback_points(listing)
+    cameras = [view.camera for view in listing.views]
+    places = np.stack([camera.position for camera in cameras])
+    radius = np.linalg.norm(places - places.mean(axis=0), axis=1).max()
+    counts = list[int]()
+    for point in found.points[::100]:
+        inside = 0
+        for camera in cameras:
+            x, y, z = camera.w2c[:3, :3] @ point + camera.w2c[:3, 3]
+            column, row = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+            if z > 0 and 0 < column < camera.width and 0 < row < camera.height:
+                assert z >= NEAR * radius
+                inside += 1
+        counts.append(inside)
+    assert found.random_points and min(counts) >= max(counts) / 2 > 1

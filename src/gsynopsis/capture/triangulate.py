@@ -23,10 +23,12 @@ from gsynopsis.scene.scene import Scene
 
 Told = Callable[[str, int, int], None]
 """Hears what is being done, how much of it is, and of how much."""
-SIDE = 800
+SIDE = 1000
 """Pixels of a photo's longer side, at most."""
-FEATURES = 2048
-"""Most keypoints of a photo."""
+FEATURES, FEATURES_MOST = 2048, 8192
+"""Most keypoints of a photo: of many photos, and of few."""
+KEYPOINTS = 120_000
+"""Most keypoints of all photos where these are few."""
 PHOTOS = 240
 """Photos at most, evenly chosen."""
 CHUNK = 4
@@ -106,7 +108,8 @@ def _found(scene: Scene, work: Path, told: Told) -> tuple[NDArray[np.float64], N
         names.append(f"{view:06d}.png")
         cameras.append(scene.camera(view, factor))
         Image.fromarray(scene.image(view, factor)).save(photos / names[-1], compress_level=1)
-    _find_keypoints(photos, database, names, told)
+    features = min(FEATURES_MOST, max(FEATURES, KEYPOINTS // len(names)))
+    _find_keypoints(photos, database, names, features, told)
     pairs = near_pairs(cameras)
     match_pairs(database, names, pairs, lambda done, of: told("matching keypoints", done, of))
     told("triangulating points", 0, 1)
@@ -117,11 +120,13 @@ def _found(scene: Scene, work: Path, told: Told) -> tuple[NDArray[np.float64], N
     return points.astype(np.float64), np.array([p.color for p in good], np.uint8).reshape(-1, 3)
 
 
-def _find_keypoints(photos: Path, database: Path, names: Sequence[str], told: Told) -> None:
-    """SIFT keypoints of every photo; each has a camera of its own."""
+def _find_keypoints(
+    photos: Path, database: Path, names: Sequence[str], features: int, told: Told
+) -> None:
+    """SIFT keypoints of every photo, at most so many; each has a camera of its own."""
     colmap = load_pycolmap()
     options, reader = colmap.FeatureExtractionOptions(), colmap.ImageReaderOptions()
-    options.num_threads, options.sift.max_num_features = threads(), FEATURES
+    options.num_threads, options.sift.max_num_features = threads(), features
     reader.camera_model = "PINHOLE"
     for start in range(0, len(names), CHUNK):
         colmap.extract_features(

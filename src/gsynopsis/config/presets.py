@@ -76,13 +76,12 @@ def _paper() -> Preset:
     return Preset("paper", replace(config, levels=sequential), joint, sequential, by_scene=False)
 
 
-def _ours(name: PresetName, longer: float, per_pixel: float = PER_PIXEL) -> Preset:
+def _ours(name: PresetName, longer: float) -> Preset:
     """Our own anchor model.
 
     Args:
         name: Of the preset.
         longer: Its steps, of those of `standard`.
-        per_pixel: Anchors up to which it grows, of the pixels of a photo.
     """
     growth = GrowthConfig(
         cell=40,
@@ -90,7 +89,7 @@ def _ours(name: PresetName, longer: float, per_pixel: float = PER_PIXEL) -> Pres
         threshold=3.5e-5,
         grow_visits=0.1,
         prune_visits=0.4,
-        per_pixel=per_pixel,
+        per_pixel=PER_PIXEL,
     )
     steps = round(2_500 * longer)
     joint = Joint(steps=steps)
@@ -125,4 +124,6 @@ def preset_of(name: str) -> Preset:
     for preset in PRESETS.values():
         if preset.name == name:
             return preset
-    raise SettingError("--preset", found=name, expected=" or ".join(PRESETS))
+    now = next((RECORDED[former] for former in RECORDED if former == name), None)
+    advice = f"it is {now} now" if now else ""
+    raise SettingError("--preset", found=name, expected=" or ".join(PRESETS), advice=advice)

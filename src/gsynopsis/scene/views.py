@@ -24,6 +24,10 @@ LOST, MISSING, UNPOSED = "with a pose that is not finite", "not on disk", "witho
 """Reasons for which photos are left out."""
 RANDOM_POINTS = 10_000
 """Points that stand in where a scene has none."""
+CANDIDATES, LOOKING = 10 * RANDOM_POINTS, 60
+"""Places that they are chosen of, and cameras at most that choose."""
+NEAR = 0.1
+"""Depth, in radii of the cameras' ball, up to which a point is right before a camera."""
 PARALLAX = 0.01
 """Least spread of cameras beside the distance of the points; handheld photos have 0.1 and more."""
 SPHERE_OFF = 0.01
@@ -249,18 +253,32 @@ def with_fallback_points(listing: SceneRecords, found: Path | None = None) -> Sc
 
 
 def _random_points(views: Sequence[View]) -> NDArray[np.float64]:
-    """Uniform in the smallest ball around the cameras' mean that holds them all, [P, 3].
+    """Points where most cameras look, in the smallest ball around their mean with them all, [P, 3].
 
-    Cameras far outside of where the others stand do not count.
+    Uniform where at least half as many cameras see a point as see any, and none has it right
+    before it: there it would hide all else. Cameras far outside of the others do not count.
     """
     places = np.stack([view.camera.position for view in views])
     places = places[~far_cameras(places)]
     center = places.mean(axis=0)
     radius = np.linalg.norm(places - center, axis=1).max()
     rng = np.random.default_rng(0)
-    ray = rng.standard_normal((RANDOM_POINTS, 3))
+    ray = rng.standard_normal((CANDIDATES, 3))
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    return center + ray * radius * np.cbrt(rng.uniform(size=(RANDOM_POINTS, 1)))
+    points = center + ray * radius * np.cbrt(rng.uniform(size=(CANDIDATES, 1)))
+    seen, near = np.zeros(CANDIDATES), np.zeros(CANDIDATES, np.bool_)
+    for view in views[:: -(-len(views) // LOOKING)]:
+        camera = view.camera
+        x, y, z = (points @ camera.w2c[:3, :3].T + camera.w2c[:3, 3]).T
+        ahead = np.where(z > 0, z, np.inf)
+        across = np.abs(x / ahead * camera.fx + camera.cx - camera.width / 2) < camera.width / 2
+        along = np.abs(y / ahead * camera.fy + camera.cy - camera.height / 2) < camera.height / 2
+        shown = across & along & (z > 0)
+        seen += shown
+        near |= shown & (z < NEAR * radius)
+    seen[near] = 0
+    order = np.argsort(-np.minimum(seen, seen.max() / 2), kind="stable")
+    return points[order[:RANDOM_POINTS]]
 
 
 def check_listing(listing: SceneRecords) -> tuple[str, ...]:
