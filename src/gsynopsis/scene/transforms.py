@@ -9,6 +9,7 @@ transforms_train.json with transforms_test.json in place of one file. nerfstudio
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -72,6 +73,8 @@ MOST_BYTES = 1 << 26
 """Most bytes of a transforms.json: 100,000 frames have half; in memory JSON is ten times that."""
 UNSAID = 800
 """Pixels of a side that is not in the file, as in Blender's data sets."""
+MOVED_MOST = 200
+"""Most characters of the name of a photo that is looked for elsewhere; file systems take 255."""
 SMALLEST = 1e-6
 """Least scale of a rotation that is taken out of it."""
 RIGID_TOLERANCE = 1e-3
@@ -149,12 +152,18 @@ def read_transforms(root: Path, files: tuple[Path, ...]) -> SceneRecords:
         SceneError: A file is not such JSON, has lens distortion, a pose that is not rigid, or
             names an image outside the scene; or its PLY file is damaged.
     """
-    tables, reader = [_load(path) for path in files], _Frames(root)
+    tables = [_load(path) for path in files]
+    reader = _Frames(root, [frame for table in tables for frame in _frames(table)])
     parts = [reader.views(table) for table in tables]
     views, repeated = _once([view for part in parts for view in part])
     top, (points, colors) = tables[0], NO_POINTS
+    lost = tuple[str, ...]()
     if top.values.get("ply_file_path") is not None:
-        points, colors = read_ply(place_of(top.path, root, top.text("ply_file_path")))
+        listing = place_of(top.path, root, top.text("ply_file_path"))
+        if listing.exists():
+            points, colors = read_ply(listing)
+        else:
+            lost = (f"{top.path.name}: ply_file_path {listing.name} is not on disk",)
     account = reader.account(files, views)
     if len(files) > 1:
         held = [frozenset(view.name for view in part) for part in parts]
@@ -164,7 +173,7 @@ def read_transforms(root: Path, files: tuple[Path, ...]) -> SceneRecords:
     else:
         lists, unknown = reader.lists(top, views)
         account = account.with_unread_models(*unknown)
-    notes = (*reader.photographs.notes, *reader.scale_notes(), *reader.moment_notes())
+    notes = (*lost, *reader.notes())
     if repeated:
         again = f"{len(repeated)} photos are listed twice ({listed(repeated)})"
         notes += (f"{again}: each is used once",)
@@ -246,8 +255,11 @@ def _frames(table: _Table) -> list[_Table]:
 class _Frames:
     """The frames of a scene: views, and the names of those that cannot be."""
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, frames: Sequence[_Table]) -> None:
         self.root = root
+        self.named = [str(frame.values.get("file_path", "")) for frame in frames]
+        self.names = Counter(_last_part(name) for name in self.named)
+        self.moved = dict[str, Path]()
         self.photographs, self.masks = PhotoIndex(root), PhotoIndex(root)
         self.lost: dict[str, list[str]] = {LOST: [], MISSING: []}
         self.seen: list[Path] = []
@@ -294,6 +306,20 @@ class _Frames:
             "moves comes out blurred; take the frames of one moment",
         )
 
+    def notes(self) -> tuple[str, ...]:
+        """Sentences on oddities of the frames."""
+        own = (*self.moved_notes(), *self.scale_notes(), *self.moment_notes())
+        return (*self.photographs.notes, *own)
+
+    def moved_notes(self) -> tuple[str, ...]:
+        """A sentence on photos that lie elsewhere than the file says."""
+        if not self.moved:
+            return ()
+        name, path = next(iter(self.moved.items()))
+        where = path.relative_to(self.root).as_posix()
+        told = f"{len(self.moved)} photos are not where the file says and were found by their names"
+        return (f"{told}, as {where!a} for {name!a}",)
+
     def scale_notes(self) -> tuple[str, ...]:
         """A sentence on poses with a scale, which is taken out."""
         if not self.scales:
@@ -314,7 +340,7 @@ class _Frames:
         if (moment := _moment(frame)) is not None:
             self.moments.add(moment)
         sphere = _is_sphere(frame)
-        lens = STRAIGHT if sphere else _lens(self.root, frame)
+        lens = STRAIGHT if sphere else _lens(self.root, frame, path.parent)
         if w2c is None or not path.is_file():
             self.lost[LOST if w2c is None else MISSING].append(name)
             return ()
@@ -326,13 +352,51 @@ class _Frames:
         return tuple(replace(view, mask=mask) for view in views)
 
     def _photo(self, table: _Table, name: str) -> Path:
-        place = place_of(table.path, self.root, name)
+        path = None if self._leads_out(name) else self._found(self._place(table, name))
+        if path is not None and path.is_file():
+            return path
+        if (moved := self._moved(name)) is not None:
+            self.moved[name] = moved
+            return moved
+        if path is not None:
+            return path
+        # Where other photos were moved into the folder, one that was not is lost, no more.
+        if not any(self._moved(other) for other in self.named if self._leads_out(other)):
+            self._place(table, name)
+        return self.root / "images" / (_last_part(name)[:MOVED_MOST] or "?")
+
+    def _place(self, table: _Table, name: str) -> Path:
+        return place_of(table.path, self.root, name)
+
+    def _leads_out(self, name: str) -> bool:
+        try:
+            place_of(self.root, self.root, name)
+        except SceneError:
+            return True
+        return False
+
+    def _found(self, place: Path) -> Path:
         path = self.photographs.find(place)
         if path.is_file():
             return path
         # Blender leaves the extension out; a name may have dots of its own.
         longer = [path.with_name(path.name + suffix) for suffix in SUFFIXES]
         return next((p for p in longer if p.is_file()), path)
+
+    def _moved(self, name: str) -> Path | None:
+        """The photo of a name that no other frame has, in images/ or beside the file, if any."""
+        last = _last_part(name)
+        if self.names[last] != 1 or last in {"", ".", ".."} or len(last) > MOVED_MOST:
+            return None
+        for folder in (self.root / "images", self.root):
+            path = self._found(folder / last)
+            if path.is_file():
+                return path
+        return None
+
+
+def _last_part(name: str) -> str:
+    return name.replace("\\", "/").rpartition("/")[2]
 
 
 def _moment(frame: _Table) -> float | None:
@@ -350,14 +414,13 @@ def _is_sphere(frame: _Table) -> bool:
     return isinstance(model, str) and model.upper() in SPHERES
 
 
-def _lens(root: Path, frame: _Table) -> Lens:
-    """The lens of a frame.
+def _lens(root: Path, frame: _Table, folder: Path) -> Lens:
+    """The lens of a frame, whose photo is in `folder`.
 
     Raises:
         SceneError: Its model or one of its terms is not known.
     """
     sparse = "colmap/sparse/0" if (root / "colmap" / "sparse" / "0").is_dir() else "sparse/0"
-    folder = place_of(frame.path, root, frame.text("file_path")).parent
     images = folder if folder.is_dir() else root
     advice = undistort_advice(root, images.relative_to(root).as_posix(), sparse)
     model = frame.find("camera_model") or "OPENCV"
