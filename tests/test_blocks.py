@@ -95,7 +95,7 @@ def run_ours(words: list[str]) -> None:
     if words[0] in ONLY_PARSED or "--gpu" in words or any("://" in word for word in words):
         parsed: Any = cli.parse(words)
         if words[0] == "train":
-            resolve_settings(parsed.preset, 10, asked_of(parsed.overrides))
+            resolve_settings(parsed.quality, 10, asked_of(parsed.overrides))
         return
     if words[0] == "stream":
         words += ["--seconds", "0.5", "--width", "32"]

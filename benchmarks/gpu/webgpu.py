@@ -110,7 +110,7 @@ def timed_kernels(gpu: Gpu, spent: dict[str, float], moved: Counter[str]) -> Ite
 
 def measure(options: Options, points: int, width: int, height: int) -> Row:
     """One size: a step on the device and on the CPU."""
-    config = resolve_settings("ours", None, {"train.growth.every": 10_000}).config
+    config = resolve_settings("max", None, {"train.growth.every": 10_000}).config
     phase = FullPhase(config.train.steps, config.train.steps)
     renderer = WebGpuRenderer(options.adapter)
     gpu, state = renderer.gpu, state_of(config, renderer, points, width, height)
@@ -186,7 +186,7 @@ def text_of(rows: list[Row]) -> str:
     kernels = list(kernel_files().values())
     shared, source = list((FOLDER / "parts").glob("*.wgsl")), ROOT / "src" / "gsynopsis"
     python = [p for room in ("render", "training") for p in (source / room / "webgpu").glob("*.py")]
-    each = anchor_bytes(resolve_settings("ours", None, {}).config)
+    each = anchor_bytes(resolve_settings("max", None, {}).config)
     heads = ["", *(f"{r['width']} × {r['height']}, {r['anchors']:,} anchors" for r in rows)]
     wanted = {
         "dispatches of a step": "dispatches",

@@ -121,7 +121,7 @@ def settings(case: Case) -> Config:
         "train.growth.threshold": 1e9,
         "levels.steps": 4,
     }
-    return resolve_settings("ours", None, asked).config
+    return resolve_settings("max", None, asked).config
 
 
 def measure(case: Case) -> dict[str, object]:

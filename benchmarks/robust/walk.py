@@ -112,7 +112,7 @@ def steps_of(state: TrainState) -> Iterator[float]:
 
 def measure(case: Case) -> dict[str, object]:
     """Train in this process."""
-    config = resolve_settings("ours", None, {"train.steps": 8000, "levels.steps": 2000}).config
+    config = resolve_settings("max", None, {"train.steps": 8000, "levels.steps": 2000}).config
     with one_torch_thread():
         state = fresh_state(TrainContext(street(case), config, CpuRenderer(), FilePacker()))
         steps = steps_of(state)

@@ -85,7 +85,7 @@ def measure(points: int, width: int, height: int, rounds: int, threads: int) -> 
     torch.set_num_threads(threads)
     # So long a training that the timed steps are counted for growth, and none grows.
     asked = {"train.steps": 60 * WARM, "train.growth.every": 10_000}
-    config = resolve_settings("ours", None, asked).config
+    config = resolve_settings("max", None, asked).config
     assert isinstance(config.levels, Joint)
     state = fresh_state(TrainContext(cloud(points, width, height), config, CpuRenderer()))
     contender = OurSteps(state, FullPhase(config.train.steps, config.train.steps))

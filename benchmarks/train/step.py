@@ -179,7 +179,7 @@ def configs(scale: float, grow: int) -> dict[str, Config]:
     ours = {"scale": scale, "train.steps": 2 * grow}
     free = {**ours, "model.feature": "free", "model.slots": ModelConfig.slots}
     asked = {"ours": ours, "free": free}
-    return {name: resolve_settings("ours", None, own).config for name, own in asked.items()}
+    return {name: resolve_settings("max", None, own).config for name, own in asked.items()}
 
 
 def grown(scene: Scene, config: Config, grow: int) -> tuple[OurSteps, OurSteps]:

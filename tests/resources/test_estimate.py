@@ -55,7 +55,7 @@ print(json.dumps([plan.anchors, plan.start_bytes, int(peak[1]) * 1024]))
 
 def measured_config() -> Config:
     """Our model, a few steps of both phases, one adjustment that adds nothing."""
-    config = preset_of("ours").config
+    config = preset_of("max").config
     growth = replace(config.train.growth, until=1, every=2, threshold=1e9)
     train = replace(config.train, steps=4, growth=growth)
     return replace(config, train=train, levels=replace(config.levels, steps=2))

@@ -35,7 +35,7 @@ class Recipe:
     Examples:
         >>> recipe = gs.resolve("standard", asked={"train.steps": 300})
         >>> recipe
-        Recipe(fast: levels.steps 500, train.steps 300)
+        Recipe(standard: levels.steps 500, train.steps 300)
         >>> recipe.source("train.steps"), recipe.source("model.slots")
         ('asked for', 'preset standard')
         >>> recipe.config.levels.mode
