@@ -47,7 +47,12 @@ def test_points_lie_on_the_surfaces_of_the_scene(room: Scene, found: tuple[Path,
 
 def test_progress_is_told_step_by_step(found: tuple[Path, Told]) -> None:
     kinds = list(dict.fromkeys(what for what, _, _ in found[1]))
-    assert kinds == ["finding keypoints", "matching keypoints", "triangulating points"]
+    assert kinds == [
+        "reading photos",
+        "finding keypoints",
+        "matching keypoints",
+        "triangulating points",
+    ]
     for kind in kinds:
         counts = [(done, of) for what, done, of in found[1] if what == kind]
         assert counts[-1][0] == counts[-1][1] and counts == sorted(counts)

@@ -102,12 +102,14 @@ def _found(scene: Scene, work: Path, told: Told) -> tuple[NDArray[np.float64], N
     photos.mkdir(parents=True)
     stride = -(-len(scene.train) // PHOTOS)
     names, cameras = list[str](), list[Camera]()
-    for view in scene.train[::stride]:
+    chosen = scene.train[::stride]
+    for done, view in enumerate(chosen, 1):
         camera = scene.views[view].camera
         factor = max(1.0, max(camera.width, camera.height) / SIDE)
         names.append(f"{view:06d}.png")
         cameras.append(scene.camera(view, factor))
         Image.fromarray(scene.image(view, factor)).save(photos / names[-1], compress_level=1)
+        told("reading photos", done, len(chosen))
     features = min(FEATURES_MOST, max(FEATURES, KEYPOINTS // len(names)))
     _find_keypoints(photos, database, names, features, told)
     pairs = near_pairs(cameras)
