@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gsynopsis.capture.matching import Pair
-from gsynopsis.capture.sfm import SEED, load_pycolmap, match_pairs, threads
+from gsynopsis.capture.sfm import CHUNK, SEED, load_pycolmap, match_pairs, threads
 from gsynopsis.files import publish, write_error
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.ply import ply_bytes
@@ -31,8 +31,6 @@ KEYPOINTS = 120_000
 """Most keypoints of all photos where these are few."""
 PHOTOS = 240
 """Photos at most, evenly chosen."""
-CHUNK = 4
-"""Photos at a time."""
 NEIGHBOURS = (0, 1, 2, 3, 5, 7, 10, 14, 19, 26)
 """Places, in the order of nearness, of the photos that each is matched with: near ones share most
 keypoints, farther ones tell depth best."""

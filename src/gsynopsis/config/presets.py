@@ -3,6 +3,7 @@
 A preset is a short difference from the defaults, for either way of making levels.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -107,7 +108,7 @@ PRESETS: dict[PresetName, Preset] = {
     "paper": _paper(),
 }
 RecordedName: TypeAlias = PresetName | Literal["fast", "ours"]
-RECORDED: dict[RecordedName, PresetName] = {
+RECORDED: Mapping[str, PresetName] = {
     **{name: name for name in PRESETS},
     "fast": "standard",
     "ours": "max",
@@ -124,6 +125,5 @@ def preset_of(name: str) -> Preset:
     for preset in PRESETS.values():
         if preset.name == name:
             return preset
-    now = next((RECORDED[former] for former in RECORDED if former == name), None)
-    advice = f"it is {now} now" if now else ""
+    advice = f"it is {RECORDED[name]} now" if name in RECORDED else ""
     raise SettingError("--preset", found=name, expected=" or ".join(PRESETS), advice=advice)

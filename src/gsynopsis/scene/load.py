@@ -54,7 +54,8 @@ def load_scene(
     """
     path, reading = Path(path), reading or DEFAULT_OPTIONS
     try:
-        listing, shift = near_origin(_with_points(path, _read(path, reading), reading))
+        found = path / reading.points if reading.points else None
+        listing, shift = near_origin(with_fallback_points(_read(path, reading), found))
         listing = replace(listing, notes=listing.notes + check_listing(listing))
         listing = with_masks(path, listing, reading.masks)
     except OSError as error:
@@ -92,10 +93,6 @@ def load_scene(
     places = np.stack([views[view].camera.position for view in near])
     scene = replace(scene, notes=(*scene.notes, *parallax_notes(places, scene.points)))
     return _within_masks(scene) if reading.masks == "empty" and scene.masked else scene
-
-
-def _with_points(path: Path, listing: SceneRecords, reading: SceneOptions) -> SceneRecords:
-    return with_fallback_points(listing, path / reading.points if reading.points else None)
 
 
 def _within_masks(scene: Scene) -> Scene:

@@ -9,7 +9,6 @@ transforms_train.json with transforms_test.json in place of one file. nerfstudio
 import json
 import math
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,6 +31,7 @@ from gsynopsis.scene.colmap.model import (
     panorama,
     undistort_advice,
 )
+from gsynopsis.scene.listed_photos import ListedPhotos
 from gsynopsis.scene.panoramas import CUT_POSED
 from gsynopsis.scene.ply import read_ply
 from gsynopsis.scene.search import PhotoIndex, unused_files
@@ -52,7 +52,6 @@ NOTE = "gsynopsis_note"
 """Field of ours: a sentence for `Scene.notes`, as that photos are renders."""
 UP = "gsynopsis_up"
 """Field of ours: away from the ground, three numbers, where more than the cameras tell it."""
-SUFFIXES = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 NO_DISTORTION = ("s1", "s2", "s3", "s4")
 """Thin prism terms, which no writer of these files estimates."""
 PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
@@ -73,8 +72,6 @@ MOST_BYTES = 1 << 26
 """Most bytes of a transforms.json: 100,000 frames have half; in memory JSON is ten times that."""
 UNSAID = 800
 """Pixels of a side that is not in the file, as in Blender's data sets."""
-MOVED_MOST = 200
-"""Most characters of the name of a photo that is looked for elsewhere; file systems take 255."""
 SMALLEST = 1e-6
 """Least scale of a rotation that is taken out of it."""
 RIGID_TOLERANCE = 1e-3
@@ -257,10 +254,8 @@ class _Frames:
 
     def __init__(self, root: Path, frames: Sequence[_Table]) -> None:
         self.root = root
-        self.named = [str(frame.values.get("file_path", "")) for frame in frames]
-        self.names = Counter(_last_part(name) for name in self.named)
-        self.moved = dict[str, Path]()
-        self.photographs, self.masks = PhotoIndex(root), PhotoIndex(root)
+        named = [str(frame.values.get("file_path", "")) for frame in frames]
+        self.photographs, self.masks = ListedPhotos(root, named), PhotoIndex(root)
         self.lost: dict[str, list[str]] = {LOST: [], MISSING: []}
         self.seen: list[Path] = []
         self.scales: list[float] = []
@@ -308,17 +303,7 @@ class _Frames:
 
     def notes(self) -> tuple[str, ...]:
         """Sentences on oddities of the frames."""
-        own = (*self.moved_notes(), *self.scale_notes(), *self.moment_notes())
-        return (*self.photographs.notes, *own)
-
-    def moved_notes(self) -> tuple[str, ...]:
-        """A sentence on photos that lie elsewhere than the file says."""
-        if not self.moved:
-            return ()
-        name, path = next(iter(self.moved.items()))
-        where = path.relative_to(self.root).as_posix()
-        told = f"{len(self.moved)} photos are not where the file says and were found by their names"
-        return (f"{told}, as {where!a} for {name!a}",)
+        return (*self.photographs.notes, *self.scale_notes(), *self.moment_notes())
 
     def scale_notes(self) -> tuple[str, ...]:
         """A sentence on poses with a scale, which is taken out."""
@@ -328,10 +313,10 @@ class _Frames:
         return (f"{scale}: the rotation is what is left without it",)
 
     def _named(self, table: _Table, name: str) -> str:
-        return self._photo(table, name).relative_to(self.root).as_posix()
+        return self.photographs.path(table.path, name).relative_to(self.root).as_posix()
 
     def _views(self, frame: _Table) -> tuple[View, ...]:
-        path = self._photo(frame, frame.text("file_path"))
+        path = self.photographs.path(frame.path, frame.text("file_path"))
         self.seen.append(path)
         name = path.relative_to(self.root).as_posix()
         w2c, scale = _world_to_camera(frame)
@@ -350,53 +335,6 @@ class _Frames:
             return views
         mask = self.masks.find(place_of(frame.path, self.root, frame.text("mask_path")))
         return tuple(replace(view, mask=mask) for view in views)
-
-    def _photo(self, table: _Table, name: str) -> Path:
-        path = None if self._leads_out(name) else self._found(self._place(table, name))
-        if path is not None and path.is_file():
-            return path
-        if (moved := self._moved(name)) is not None:
-            self.moved[name] = moved
-            return moved
-        if path is not None:
-            return path
-        # Where other photos were moved into the folder, one that was not is lost, no more.
-        if not any(self._moved(other) for other in self.named if self._leads_out(other)):
-            self._place(table, name)
-        return self.root / "images" / (_last_part(name)[:MOVED_MOST] or "?")
-
-    def _place(self, table: _Table, name: str) -> Path:
-        return place_of(table.path, self.root, name)
-
-    def _leads_out(self, name: str) -> bool:
-        try:
-            place_of(self.root, self.root, name)
-        except SceneError:
-            return True
-        return False
-
-    def _found(self, place: Path) -> Path:
-        path = self.photographs.find(place)
-        if path.is_file():
-            return path
-        # Blender leaves the extension out; a name may have dots of its own.
-        longer = [path.with_name(path.name + suffix) for suffix in SUFFIXES]
-        return next((p for p in longer if p.is_file()), path)
-
-    def _moved(self, name: str) -> Path | None:
-        """The photo of a name that no other frame has, in images/ or beside the file, if any."""
-        last = _last_part(name)
-        if self.names[last] != 1 or last in {"", ".", ".."} or len(last) > MOVED_MOST:
-            return None
-        for folder in (self.root / "images", self.root):
-            path = self._found(folder / last)
-            if path.is_file():
-                return path
-        return None
-
-
-def _last_part(name: str) -> str:
-    return name.replace("\\", "/").rpartition("/")[2]
 
 
 def _moment(frame: _Table) -> float | None:

@@ -181,14 +181,20 @@ def place_of(listing: Path, folder: Path, name: str) -> Path:
     Raises:
         SceneError: The name is empty or leads out of the folder.
     """
+    place = inner_place(folder, name)
+    if place is None:
+        found = ascii(name.replace("\\", "/")[:80])
+        raise SceneError(listing, "image name", found=found, expected=f"a name inside {folder}")
+    return place
+
+
+def inner_place(folder: Path, name: str) -> Path | None:
+    """Path of the image `name` strictly inside `folder`; None if it is empty or leads out."""
     name = name.replace("\\", "/")
     parts = PurePosixPath(name).parts
     outside = name.startswith("/") or name[1:2] == ":" or ".." in parts
     odd = any(c < " " or "\ud800" <= c <= "\udfff" for c in name) or len(name) > LONGEST_NAME
-    if not parts or outside or odd:
-        wanted = f"a name inside {folder}"
-        raise SceneError(listing, "image name", found=ascii(name[:80]), expected=wanted)
-    return folder.joinpath(*parts)
+    return folder.joinpath(*parts) if parts and not outside and not odd else None
 
 
 def spread(positions: NDArray[np.float64]) -> float:
@@ -268,14 +274,9 @@ def _random_points(views: Sequence[View]) -> NDArray[np.float64]:
     points = center + ray * radius * np.cbrt(rng.uniform(size=(CANDIDATES, 1)))
     seen, near = np.zeros(CANDIDATES), np.zeros(CANDIDATES, np.bool_)
     for view in views[:: -(-len(views) // LOOKING)]:
-        camera = view.camera
-        x, y, z = (points @ camera.w2c[:3, :3].T + camera.w2c[:3, 3]).T
-        ahead = np.where(z > 0, z, np.inf)
-        across = np.abs(x / ahead * camera.fx + camera.cx - camera.width / 2) < camera.width / 2
-        along = np.abs(y / ahead * camera.fy + camera.cy - camera.height / 2) < camera.height / 2
-        shown = across & along & (z > 0)
-        seen += shown
-        near |= shown & (z < NEAR * radius)
+        framed = view.camera.framed(points)
+        seen += framed.which
+        near[framed.which] |= framed.depths < NEAR * radius
     seen[near] = 0
     order = np.argsort(-np.minimum(seen, seen.max() / 2), kind="stable")
     return points[order[:RANDOM_POINTS]]
