@@ -12,10 +12,12 @@ PROCEDURAL: dict[str, SyntheticScene] = {
     "outdoor": SyntheticScene("outdoor", 48, 240, 160, 1, 6000),
     "object": SyntheticScene("object", 119, 228, 228, 1, 6000),
     "city": SyntheticScene("city", 400, 240, 160, 1, 40_000),
+    "garden": SyntheticScene("outdoor", 96, 640, 480, 2, 20_000),
     "few": SyntheticScene("room", 16, 240, 160, 2, 3000),
     "tiny": SyntheticScene("room", 16, 96, 64, 3, 1500),
 }
-"""`few` has as few views as people take who are in a hurry, `tiny` is for tests and first tries."""
+"""`garden` has the size of a small photo; `few` has as few views as people take who are in a hurry;
+`tiny` is for tests and first tries."""
 
 
 def procedural_scene(name: str, cache: Path) -> Path:
