@@ -22,7 +22,7 @@ from gsynopsis.synthetic.make_scene import make_scene
 from gsynopsis.training.observer import Observer, Silent
 
 pytest.importorskip("pycolmap")
-VIEWS, WIDTH, HEIGHT = 24, 400, 300
+VIEWS, WIDTH, HEIGHT = 24, 240, 180
 FEW = PoseOptions(features=2048)
 
 

@@ -1,5 +1,7 @@
 """Whatever comes in, the crown of the tree is up in every format that goes out."""
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 from gsynopsis.container import read_gsyn, write_gsyn
 from gsynopsis.formats.axes import parse_up
 from gsynopsis.formats.readers.any import read_splats
+from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.jobs import export as exporting
 from gsynopsis.jobs import import_splats as importing
 from gsynopsis.jobs.export import ENDINGS, Exporting, Format, export
@@ -43,10 +46,18 @@ def check_crown(path: Path, name: Format) -> None:
     assert np.linalg.norm(crown - HEIGHT * up) == pytest.approx(0.6 * 2**0.5, abs=0.1)
 
 
+@pytest.fixture(scope="module")
+def trees(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], SplatFile]:
+    """The tree by the kind of its file, each read once for all formats: USD by a process."""
+    return cache(lambda kind: read_splats(write_tree(tmp_path_factory.mktemp("in"), kind)))
+
+
 @pytest.mark.parametrize("name", FORMATS)
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_crown_stays_up_from_reader_to_writer(kind: str, name: Format, tmp_path: Path) -> None:
-    given = read_splats(write_tree(tmp_path / "in", kind))
+def test_the_crown_stays_up_from_reader_to_writer(
+    kind: str, name: Format, trees: Callable[[str], SplatFile], tmp_path: Path
+) -> None:
+    given = trees(kind)
     finest = given.levels[-1]
     notes = {"up": " ".join(map(str, given.up))}
     levels = splat_levels(finest, np.ones(len(finest)), [len(finest)], notes)
