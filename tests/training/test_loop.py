@@ -3,7 +3,9 @@
 import hashlib
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -59,24 +61,36 @@ class StopAfter:
         return self.left <= 0
 
 
-def trained(config: Config, out: Path) -> TrainState:
+def trained_anew(config: Config, out: Path) -> TrainState:
     t = opened(out, config)
     assert run_training(t, out, Silent(), lambda: False)
     return t
 
 
+@cache
+def finished(config: Config) -> tuple[TrainState, dict[str, bytes]]:
+    """A training to its end and the files it left, made once: it is the same each time."""
+    with TemporaryDirectory() as folder:
+        t = trained_anew(config, Path(folder))
+        return t, {path.name: path.read_bytes() for path in Path(folder).iterdir()}
+
+
+def trained(config: Config, out: Path) -> TrainState:
+    """A finished training, which no test changes; its files are put into a folder."""
+    t, files = finished(config)
+    for name, content in files.items():
+        (out / name).write_bytes(content)
+    return t
+
+
 @pytest.mark.parametrize("config", [JOINT, SEQUENTIAL], ids=["joint", "sequential"])
 def test_same_seed_same_bytes(config: Config, tmp_path: Path) -> None:
-    (tmp_path / "a").mkdir()
-    (tmp_path / "b").mkdir()
-    assert result(trained(config, tmp_path / "a")) == result(trained(config, tmp_path / "b"))
+    assert result(trained_anew(config, tmp_path)) == result(finished(config)[0])
 
 
 def test_another_seed_gives_another_result(tmp_path: Path) -> None:
     other = replace(JOINT, train=replace(JOINT.train, seed=1))
-    (tmp_path / "a").mkdir()
-    (tmp_path / "b").mkdir()
-    assert result(trained(JOINT, tmp_path / "a")) != result(trained(other, tmp_path / "b"))
+    assert result(finished(JOINT)[0]) != result(trained_anew(other, tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -87,15 +101,11 @@ def test_another_seed_gives_another_result(tmp_path: Path) -> None:
 def test_a_run_stopped_again_and_again_ends_like_an_uninterrupted_one(
     config: Config, tmp_path: Path
 ) -> None:
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
-    whole.mkdir()
-    parts.mkdir()
-    expected = result(trained(config, whole))
     for stops in (7, 1, 16, 9, 13, 1000):
-        t = opened(parts, config)
-        if run_training(t, parts, Silent(), StopAfter(stops)):
+        t = opened(tmp_path, config)
+        if run_training(t, tmp_path, Silent(), StopAfter(stops)):
             break
-    assert result(t) == expected
+    assert result(t) == result(finished(config)[0])
 
 
 def test_levels_with_tied_weights_have_the_same_matrices_in_model_checkpoint_and_file(
@@ -292,5 +302,5 @@ def test_what_stands_between_the_steps_is_training_time_too(
     monkeypatch.setattr(JointPhase, "begin", lambda p, s: slowly(p, s, begin, 1000.0))
     monkeypatch.setattr(JointPhase, "end", lambda p, s: slowly(p, s, end, 500.0))
     monkeypatch.setattr(run.time, "monotonic", lambda: spent)
-    cursor = trained(JOINT, tmp_path).progress
+    cursor = trained_anew(JOINT, tmp_path).progress
     assert (cursor.seconds, cursor.phase_seconds) == (1500.0, {"full": 0.0, "joint": 1500.0})
