@@ -43,11 +43,11 @@ def interruptible() -> Iterator[None]:
 def few_tries() -> Iterator[None]:
     """Cameras of splats, and up, are found among few: for tests that do not look at which are best.
 
-    Of at most 88 small pictures rather than 656, and 26 rather than 96 for each direction that may
+    Of at most 56 small pictures rather than 656, and 17 rather than 96 for each direction that may
     be up.
     """
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in {"TURNS": 6, "TRIED": 40, "AGAIN": (), "QUICK": 10}.items():
+        for name, value in {"TURNS": 4, "TRIED": 24, "AGAIN": (), "QUICK": 6}.items():
             patch.setattr(f"gsynopsis.cameras.found.{name}", value)
         yield
 

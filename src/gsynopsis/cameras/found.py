@@ -7,6 +7,7 @@ what the others see.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,19 +176,18 @@ class Search:
 
     def quick_tries(self) -> list[Try]:
         """A few of the tries, to compare directions that may be up."""
-        some = self._looked(self._around()[::3]) + self._looked(self._anywhere(QUICK))
+        some = self._looked(self._around(3)) + self._looked(self._anywhere(QUICK))
         # Which of them are level depends on what is up.
         return [replace(each, pitch=0.0) for each in some]
 
-    def _around(self) -> list[tuple[Camera, float]]:
+    def _around(self, every: int = 1) -> list[tuple[Camera, float]]:
+        """Cameras around everything, or one in so many of them, and how far they are from it."""
         out: list[tuple[Camera, float]] = []
-        for tilt in TILTS:
-            for turn in range(TURNS):
-                for zoom in ZOOMS:
-                    where = (turn + 0.5 * (TILTS.index(tilt) % 2)) / TURNS
-                    camera = camera_at(self._subject, self._lens, where, tilt, zoom)
-                    away = float(np.linalg.norm(camera.position - self._subject.middle))
-                    out.append((camera, away))
+        for tilt, turn, zoom in list(product(TILTS, range(TURNS), ZOOMS))[::every]:
+            where = (turn + 0.5 * (TILTS.index(tilt) % 2)) / TURNS
+            camera = camera_at(self._subject, self._lens, where, tilt, zoom)
+            away = float(np.linalg.norm(camera.position - self._subject.middle))
+            out.append((camera, away))
         return out
 
     def _anywhere(self, count: int) -> list[tuple[Camera, float]]:
