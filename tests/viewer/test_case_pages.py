@@ -33,7 +33,7 @@ def page(name: str) -> str:
     return (CASES / f"{name}.html").read_text(encoding="utf-8").replace("demo.gsyn", "scene.gsyn")
 
 
-def test_all_of_twenty_scenes_show_a_picture(small: Path, tmp_path: Path) -> None:
+def test_all_of_twenty_scenes_show_a_picture(bright: Path, tmp_path: Path) -> None:
     steps: list[dict[str, Any]] = [
         {"until": "whole.size === 20", "timeout": 120_000},
         {"until": f"{ALL}.filter(({{ scene }}) => scene?.resting && scene.lost).length === 14"},
@@ -42,7 +42,7 @@ def test_all_of_twenty_scenes_show_a_picture(small: Path, tmp_path: Path) -> Non
         {"name": "told", "script": "told.filter(Boolean)"},
         {"shot": "many"},
     ]
-    with site(tmp_path, small, page("many")) as address:
+    with site(tmp_path, bright, page("many")) as address:
         found = visit(address, tmp_path, steps, (1100, 700), init=HEAR).results
     assert not found["told"] and len(found["boxes"]) == 20
     image = screenshot(tmp_path / "many.png")
