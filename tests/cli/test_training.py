@@ -239,17 +239,15 @@ def test_settings_that_cannot_be_are_one_line_and_exit_2(
     assert len(done.stderr.splitlines()) == 1 and not (tmp_path / "run").exists()
 
 
-def test_a_run_of_another_scene_is_refused(room: Path, tmp_path: Path) -> None:
+def test_a_run_of_another_scene_is_refused(room: Path, trained: Path, tmp_path: Path) -> None:
     other = make_scene("room", tmp_path / "o", views=9, width=48, height=32, points=300, seed=1)
-    out = tmp_path / "run"
-    words = ("--steps", "5", "--no-evaluate", *SMALL)
-    assert command("train", room, "--out", out, *words).returncode == 0
-    before = {path.name: path.read_bytes() for path in out.iterdir()}
-    done = command("train", other, "--out", out, *words)
+    words = ("--steps", "20", "--no-evaluate", *SMALL)
+    before = {path.name: path.read_bytes() for path in trained.iterdir()}
+    done = command("train", other, "--out", trained, *words)
     assert done.returncode == 2 and "another scene" in done.stderr
-    done = command("train", room, "--out", out, *words, "--seed", "7")
+    done = command("train", room, "--out", trained, *words, "--seed", "7")
     assert done.returncode == 2 and "train.seed: found 0, expected 7" in done.stderr
-    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert {path.name: path.read_bytes() for path in trained.iterdir()} == before
 
 
 def test_training_with_few_views_says_so_and_records_what_it_used(

@@ -61,9 +61,14 @@ def test_a_look_that_fails_ends_nothing() -> None:
     watching.on_step(replace(STEP, step=STEP.steps))
 
 
-def test_a_training_that_is_looked_at_writes_the_same_file(tmp_path: Path) -> None:
-    out = gs.make_scene("room", tmp_path / "room", views=9, width=32, height=24, points=150)
-    scene, shown = gs.load_scene(out), list[str]()
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("scenes") / "room"
+    return gs.make_scene("room", out, views=9, width=32, height=24, points=150)
+
+
+def test_a_training_that_is_looked_at_writes_the_same_file(room: Path, tmp_path: Path) -> None:
+    scene, shown = gs.load_scene(room), list[str]()
     bar = NotebookBar(lambda html, text: shown.append(html))
     recipe, options = resolve("standard", scene, SMALL), {"evaluate": False}
     watched = gs.train(scene, recipe, tmp_path / "watched", bar, **options)
@@ -72,13 +77,12 @@ def test_a_training_that_is_looked_at_writes_the_same_file(tmp_path: Path) -> No
     assert "dB on held-out photos" in shown[-1] and shown[-1].count("<img src=") == 2
 
 
-def test_tensorboard_has_loss_quality_and_pictures(tmp_path: Path) -> None:
+def test_tensorboard_has_loss_quality_and_pictures(room: Path, tmp_path: Path) -> None:
     reason = "tensorboard is not installed: extra 'tensorboard'; NOT tested"
     pytest.importorskip("tensorboard", reason=reason)
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    out = gs.make_scene("room", tmp_path / "room", views=9, width=32, height=24, points=150)
-    scene = gs.load_scene(out)
+    scene = gs.load_scene(room)
     options = {"evaluate": False, "tensorboard": True}
     recipe = resolve("standard", scene, SMALL)
     run = gs.train(scene, recipe, tmp_path / "run", Silent(), **options)
@@ -90,13 +94,12 @@ def test_tensorboard_has_loss_quality_and_pictures(tmp_path: Path) -> None:
 
 
 def test_without_tensorboard_it_is_one_line_before_anything_is_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def absent(name: str) -> None:
         raise ImportError(name)
 
-    out = gs.make_scene("room", tmp_path / "room", views=9, width=32, height=24, points=150)
     monkeypatch.setattr(board.importlib, "import_module", absent)
     with pytest.raises(MissingExtraError, match=r"tensorboard.*gsynopsis\[tensorboard\]"):
-        gs.train(out, "standard", tmp_path / "run", Silent(), tensorboard=True)
+        gs.train(room, "standard", tmp_path / "run", Silent(), tensorboard=True)
     assert not (tmp_path / "run").exists()
