@@ -20,12 +20,13 @@ from gsynopsis.synthetic.make_scene import make_scene
 
 pytest.importorskip("pycolmap")
 Told = list[tuple[str, int, int]]
+WIDTH, HEIGHT = 240, 180
 
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     out = tmp_path_factory.mktemp("scenes") / "room"
-    make_scene("room", out, views=20, width=320, height=240, points=20_000)
+    make_scene("room", out, views=20, width=WIDTH, height=HEIGHT, points=20_000)
     return load_scene(out)
 
 
@@ -64,7 +65,7 @@ def test_held_out_photos_take_no_part_and_the_points_are_the_same_again(
     kept = {room.views[view].path: room.views[view].path.read_bytes() for view in room.test}
     try:
         for path in kept:
-            Image.new("RGB", (320, 240)).save(path)
+            Image.new("RGB", (WIDTH, HEIGHT)).save(path)
         again = load_scene(room.root)
         triangulate(again, tmp_path / "points.ply", lambda *_: None)
     finally:
@@ -85,7 +86,7 @@ def test_the_file_has_the_units_of_the_scenes_files(
 def test_blank_photos_give_no_file(room: Scene, tmp_path: Path) -> None:
     views = [replace(view, path=tmp_path / Path(view.name).name) for view in room.views]
     for view in views:
-        Image.new("RGB", (320, 240), (90, 90, 90)).save(view.path)
+        Image.new("RGB", (WIDTH, HEIGHT), (90, 90, 90)).save(view.path)
     blank = replace(room, views=tuple(views), cache=type(room.cache)())
     assert triangulate(blank, tmp_path / "out" / "points.ply", lambda *_: None) == 0
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())

@@ -16,9 +16,11 @@ from gsynopsis.synthetic.make_scene import make_scene
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Few points in photos of many pixels."""
+    """Few points in photos of many pixels, which are not looked at."""
     folder = tmp_path_factory.mktemp("cell") / "room"
-    return load_scene(make_scene("room", folder, views=10, width=240, height=160, points=300))
+    small = load_scene(make_scene("room", folder, views=10, width=24, height=16, points=300))
+    views = tuple(replace(view, camera=view.camera.resized(240, 160)) for view in small.views)
+    return replace(small, views=views)
 
 
 def plain_cell(scene: Scene, scale: float) -> float:
