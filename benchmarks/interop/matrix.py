@@ -164,7 +164,7 @@ def staged(options: Options, folder: Path) -> Stage:
 
 def picture(gaussians: PlainGaussians, camera: Camera) -> Image8:
     """Ours, as in 3DGS, on black."""
-    painter = LevelRenderer(PlainModel(gaussians, antialiased=False), CpuRenderer(), torch.zeros(3))
+    painter = LevelRenderer(PlainModel(gaussians, antialiased=False), CpuRenderer())
     with torch.no_grad():
         return painter.paint(camera, 0)
 

@@ -50,7 +50,7 @@ def sog_of(source: Path) -> dict[str, object]:
 
 def painted(gaussians: PlainGaussians, views: list[Camera]) -> list[Image8]:
     """Images, as in 3DGS, on black."""
-    painter = LevelRenderer(PlainModel(gaussians, antialiased=False), CpuRenderer(), torch.zeros(3))
+    painter = LevelRenderer(PlainModel(gaussians, antialiased=False), CpuRenderer())
     with torch.no_grad():
         return [painter.paint(camera, 0) for camera in views]
 

@@ -46,7 +46,7 @@ def main() -> None:
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(14)
     for column, (name, model, level, size) in enumerate(shown):
         with torch.no_grad():
-            painted = LevelRenderer(model, CpuRenderer(1), torch.zeros(3)).paint(camera, level)
+            painted = LevelRenderer(model, CpuRenderer(1)).paint(camera, level)
         image = Image.fromarray(painted)
         sheet.paste(image, (column * width, TITLE))
         db = against(model, level, scene, args.scale)

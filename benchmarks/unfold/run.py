@@ -182,7 +182,7 @@ def curve(
 
 def against(model: Decoder, level: int, scene: Scene, factor: float = 1.0) -> float:
     """Mean PSNR against held-out photos, or renders, divided by `factor`, dB."""
-    painter = LevelRenderer(model, make_renderer("cpu"), torch.zeros(3))
+    painter = LevelRenderer(model, make_renderer("cpu"))
     with torch.no_grad():
         found = [
             psnr(painter.paint(scene.camera(view, factor), level), scene.image(view, factor))

@@ -84,7 +84,7 @@ def shown(
         {"sleep": 1500},
         {"shot": "rest"},
     ]
-    painter = LevelRenderer(opened.decoder, opened.renderer, torch.zeros(3))
+    painter = LevelRenderer(opened.decoder, opened.renderer)
     with tempfile.TemporaryDirectory() as folder, pages(file) as address:
         place = Path(folder)
         found = visit(f"{address}/?noui", place, steps, (camera.width, camera.height))

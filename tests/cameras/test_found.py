@@ -66,7 +66,7 @@ def imported(scene: SplatScene, out: Path, monkeypatch: pytest.MonkeyPatch) -> I
 def seen(level: int, model: SplatModel, scene: SplatScene, cameras: list[Camera]) -> float:
     """Mean PSNR of a level against the scene, dB."""
     truth = PlainModel(scene.gaussians, antialiased=False)
-    own, given = (LevelRenderer(m, CpuRenderer(), torch.zeros(3)) for m in (model, truth))
+    own, given = (LevelRenderer(m, CpuRenderer()) for m in (model, truth))
     with torch.no_grad():
         return float(np.mean([psnr(own.paint(c, level), given.paint(c, 0)) for c in cameras]))
 

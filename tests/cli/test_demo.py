@@ -10,7 +10,7 @@ from gsynopsis.cli import demo, main
 from gsynopsis.cli.flags import asked_of
 from gsynopsis.cli.train import Train
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.stored import header_size
+from gsynopsis.scene.stored import read_header
 from gsynopsis.synthetic import make_scene as synthetic
 from gsynopsis.synthetic.raytracer import RayScene
 
@@ -31,7 +31,7 @@ def test_the_demo_s_photos_are_large_enough_for_a_browser_window(
     assert main(["demo", "--out", str(tmp_path), "--quiet"]) == 0
     (train,) = trained
     photos = sorted((train.scene / "images").iterdir())
-    sizes = [header_size(photo) for photo in photos]
+    sizes = [read_header(photo).size for photo in photos]
     assert len(sizes) == 2
     assert all(width >= 480 and height >= 320 for width, height in sizes)
     assert train.scale == 1.0

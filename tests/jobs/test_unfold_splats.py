@@ -87,7 +87,7 @@ def test_the_first_picture_is_close_and_the_file_has_levels(source: Path, done: 
     copied = job.what_to_copy(given, model, cameras, renderer, Silent())
     recipe = teacher_recipe(len(copied.splats), len(scene.train), copied.voxel, SHORT)
     begun = job.begun_state(make_context(scene, recipe.config, RunOptions()), copied)
-    painter = LevelRenderer(begun.model, renderer, torch.zeros(3))
+    painter = LevelRenderer(begun.model, renderer)
     first = [psnr(painter.paint(scene.camera(v), -1), scene.image(v)) for v in scene.test]
     empty = [psnr(np.zeros_like(scene.image(v)), scene.image(v)) for v in scene.test]
     assert np.mean(first) > np.mean(empty) + 8

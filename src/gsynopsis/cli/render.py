@@ -141,8 +141,7 @@ class Render:
 
         from gsynopsis.evaluation.protocols import LevelRenderer
 
-        black = torch.zeros(3, device=opened.renderer.device)
-        painter = LevelRenderer(opened.decoder, opened.renderer, black)
+        painter = LevelRenderer(opened.decoder, opened.renderer)
         written: list[Path] = []
         frames: list[Image8] = []
         for done, (name, camera) in enumerate(shots, start=1):

@@ -1,4 +1,4 @@
-"""The evaluator: any decoder of levels, any scene, any renderer → one report."""
+"""The evaluator: any decoder of levels, a scene, any renderer → one report."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -12,7 +12,7 @@ from gsynopsis.errors import SceneError
 from gsynopsis.evaluation.environment import this_build, this_machine
 from gsynopsis.evaluation.masked_psnr import psnr_exposed, psnr_inside
 from gsynopsis.evaluation.metrics import Image8, LearntMeasure, flip, psnr, ssim
-from gsynopsis.evaluation.protocols import Decoder, LevelRenderer, Options, Photos
+from gsynopsis.evaluation.protocols import Decoder, LevelRenderer, Options
 from gsynopsis.evaluation.report import (
     AtPhotoSize,
     LevelScore,
@@ -25,12 +25,13 @@ from gsynopsis.evaluation.report import (
 from gsynopsis.evaluation.timing import time_levels
 from gsynopsis.records import LevelSet
 from gsynopsis.render.base import Renderer
+from gsynopsis.scene.scene import Scene
 
 
 def evaluate(
     decoder: Decoder,
     levels: LevelSet,
-    scene: Photos,
+    scene: Scene,
     renderer: Renderer,
     factor: float = 1.0,
     options: Options | None = None,
@@ -52,8 +53,7 @@ def evaluate(
     options = options or Options()
     if not scene.test:
         raise SceneError(scene.name, "split", found="no held-out view", expected="at least one")
-    background = torch.tensor(options.background, device=renderer.device)
-    painter = LevelRenderer(decoder, renderer, background)
+    painter = LevelRenderer(decoder, renderer)
     count = len(levels.levels)
     with torch.no_grad():
         views, pictures = _compare_views(painter, scene, count, factor, options)
@@ -68,8 +68,7 @@ def evaluate(
         scale=factor,
         width=cameras[0].width,
         height=cameras[0].height,
-        pyramid=options.pyramid,
-        notes=tuple(scene.notes),
+        notes=scene.notes,
         account=scene.account,
         provenance=options.provenance,
         renderer=renderer.name,
@@ -87,7 +86,7 @@ def evaluate(
 def measure_quality(
     decoder: Decoder,
     levels: LevelSet,
-    scene: Photos,
+    scene: Scene,
     renderer: Renderer,
     factor: float,
     tick: Callable[[int, int], None] | None = None,
@@ -109,9 +108,7 @@ def measure_quality(
         DivergedError: a rendering is not finite.
     """
     options = Options(tick=tick, pictures=0)
-    painter = LevelRenderer(
-        decoder, renderer, torch.tensor(options.background, device=renderer.device)
-    )
+    painter = LevelRenderer(decoder, renderer)
     count = len(levels.levels)
     with torch.no_grad():
         views, _ = _compare_views(painter, scene, count, factor, options)
@@ -178,7 +175,7 @@ def evenly(items: Sequence[int], count: int) -> tuple[int, ...]:
 
 
 def _compare_views(
-    painter: LevelRenderer, scene: Photos, count: int, factor: float, options: Options
+    painter: LevelRenderer, scene: Scene, count: int, factor: float, options: Options
 ) -> tuple[list[ViewScore], list[Pictures]]:
     scores: list[ViewScore] = []
     pictures: list[Pictures] = []
@@ -215,7 +212,7 @@ def _adjusted(
     return quality
 
 
-def photo_views(scene: Photos, levels: int, pixels: int) -> tuple[int, ...]:
+def photo_views(scene: Scene, levels: int, pixels: int) -> tuple[int, ...]:
     """Held-out views to compare at their photos' own size: all, or as many as a budget allows.
 
     Args:
@@ -232,7 +229,7 @@ def photo_views(scene: Photos, levels: int, pixels: int) -> tuple[int, ...]:
 
 def _at_photo_size(
     painter: LevelRenderer,
-    scene: Photos,
+    scene: Scene,
     scores: list[ViewScore],
     factor: float,
     options: Options,
@@ -262,7 +259,7 @@ def _at_photo_size(
     return [_with_photo(score, found.get((score.view, score.level))) for score in scores], size
 
 
-def train_views(scene: Photos) -> tuple[int, ...]:
+def train_views(scene: Scene) -> tuple[int, ...]:
     """Training views to compare beside the held-out ones: at most as many, evenly apart.
 
     None where the held-out views are training views themselves (split `none`).
@@ -272,7 +269,7 @@ def train_views(scene: Photos) -> tuple[int, ...]:
 
 def _on_train(
     painter: LevelRenderer,
-    scene: Photos,
+    scene: Scene,
     views: Sequence[int],
     count: int,
     factor: float,
@@ -320,7 +317,7 @@ def _both(full: Measured, own: Measured) -> Quality:
 
 def _score_levels(
     levels: LevelSet,
-    scene: Photos,
+    scene: Scene,
     factor: float,
     views: Sequence[ViewScore],
     timings: Sequence[Timing],

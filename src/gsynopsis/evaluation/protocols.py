@@ -1,10 +1,11 @@
-"""Interfaces of the evaluator: a decoder, a scene, and its options."""
+"""The evaluator's decoder, its options, and images of both."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -12,7 +13,6 @@ from gsynopsis.evaluation.metrics import Image8, LearntMeasure, to_bytes
 from gsynopsis.evaluation.report import Provenance
 from gsynopsis.render.base import Gaussians, Renderer
 from gsynopsis.render.supersampling import render_reduced
-from gsynopsis.scene.account import Account
 from gsynopsis.scene.camera import Camera
 from gsynopsis.stream.views import ViewPose
 
@@ -31,61 +31,6 @@ class Decoder(Protocol):
         ...
 
 
-class Named(Protocol):
-    """A view; the evaluator needs only its name."""
-
-    @property
-    def name(self) -> str:
-        """File name of the photo."""
-        ...
-
-
-class Photos(Protocol):
-    """Scene of an evaluation; a `scene.Scene` is one."""
-
-    @property
-    def name(self) -> str:
-        """Name of the scene."""
-        ...
-
-    @property
-    def views(self) -> Sequence[Named]:
-        """All views."""
-        ...
-
-    @property
-    def train(self) -> Sequence[int]:
-        """Indices of the views to train on."""
-        ...
-
-    @property
-    def test(self) -> Sequence[int]:
-        """Indices of the held-out views."""
-        ...
-
-    @property
-    def notes(self) -> Sequence[str]:
-        """Oddities in how the scene was read, for readers of the results."""
-        ...
-
-    @property
-    def account(self) -> Account:
-        """Account of the scene's folder: files used, and files that are not."""
-        ...
-
-    def camera(self, view: int, factor: float, /) -> Camera:
-        """The camera of a view whose photo is divided by `factor`."""
-        ...
-
-    def image(self, view: int, factor: float, /) -> Image8:
-        """The photo of a view divided by `factor`, uint8 [H, W, 3]."""
-        ...
-
-    def fingerprint(self) -> str:
-        """A digest that tells scenes apart."""
-        ...
-
-
 @dataclass(frozen=True)
 class Options:
     """Options of an evaluation.
@@ -94,8 +39,6 @@ class Options:
         frames: Frames to time per level, at least 1 (methods.md §3.5 asks for 200 on a GPU).
         warmup: Frames before those, not counted.
         pictures: Views kept as images, spread evenly over the held-out ones.
-        background: RGB behind everything, [0, 1]; black as in training.
-        pyramid: Method by which the scene makes photos smaller; copied into the report.
         provenance: Origin of the file; copied into the report.
         lpips: A learnt measure, or None.
         tick: Called after each view with the views done and the views in all; then again for the
@@ -110,8 +53,6 @@ class Options:
     frames: int = 20
     warmup: int = 3
     pictures: int = 3
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    pyramid: str = "Lanczos in 8 bits, each size from the stored photo, never from a smaller copy"
     provenance: Provenance = field(default_factory=Provenance)
     lpips: LearntMeasure | None = None
     tick: Callable[[int, int], None] | None = None
@@ -123,9 +64,13 @@ class Options:
 class LevelRenderer:
     """Decoder, renderer and background: a camera and a level in, an 8-bit image out."""
 
-    def __init__(self, decoder: Decoder, renderer: Renderer, background: Tensor) -> None:
-        """All tensors on the renderer's device; background is [3]."""
-        self.decoder, self.renderer, self.background = decoder, renderer, background
+    def __init__(
+        self, decoder: Decoder, renderer: Renderer, background: Tensor | None = None
+    ) -> None:
+        """All tensors on the renderer's device; background is [3], None black."""
+        black = torch.zeros(3, device=renderer.device)
+        self.decoder, self.renderer = decoder, renderer
+        self.background = black if background is None else background
 
     def paint(self, camera: Camera, level: int) -> Image8:
         """The image as a saved PNG would hold it."""

@@ -55,6 +55,9 @@ PROTOCOL = (
     "frames at the scale of the run."
 )
 
+PYRAMID = "Lanczos in 8 bits, each size from the stored photo, never from a smaller copy"
+"""Method by which photos are made smaller."""
+
 
 @dataclass(frozen=True)
 class Provenance:
@@ -223,7 +226,6 @@ class Report:
         scale: The photos' width and height were divided by this.
         width: Width of the first held-out view at that scale, pixels.
         height: Its height at that scale, pixels.
-        pyramid: Method by which the photos were made smaller.
         notes: Oddities in how the scene was read.
         account: Account of the scene's folder: files used, and files that are not.
         provenance: Origin of the file.
@@ -244,7 +246,6 @@ class Report:
     scale: float
     width: int
     height: int
-    pyramid: str
     notes: tuple[str, ...]
     account: Account
     provenance: Provenance
@@ -311,7 +312,7 @@ def report_document(report: Report) -> dict[str, Json]:
         "held_out_views": len({score.view for score in report.views}),
         "train_views": list(report.train_views),
         "split": report.provenance.split,
-        "pyramid": report.pyramid,
+        "pyramid": PYRAMID,
         "notes": list(report.notes),
         "account": report.account.document(),
         "protocol": PROTOCOL,
@@ -480,7 +481,7 @@ def settings_of(report: Report) -> list[tuple[str, str]]:
         ("training", trained),
         ("split", provenance.split or "n/a"),
         ("views", f"{len({score.view for score in report.views})} {views_text(report)}"),
-        ("pyramid", report.pyramid),
+        ("pyramid", PYRAMID),
         ("renderer", report.renderer),
         ("timing", f"median of {timing.frames} frames, {timing.views} cameras"),
         ("LPIPS", report.lpips or "n/a (no weights supplied)"),

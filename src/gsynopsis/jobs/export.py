@@ -407,8 +407,7 @@ def bake_level(
 
 def mean_psnr(opened: Opened, decoder: Decoder, level: int, photos: Photographed) -> float:
     """Mean PSNR on the held-out photos at the size of the training, 8 bits, dB."""
-    black = torch.zeros(3, device=opened.renderer.device)
-    painter = LevelRenderer(decoder, opened.renderer, black)
+    painter = LevelRenderer(decoder, opened.renderer)
     scene, scale = photos.scene, photos.scale
     with torch.no_grad():
         return fmean(

@@ -127,8 +127,7 @@ def sheet_of(model: SplatModel, found: Viewpoints, renderer: Renderer) -> bytes:
 def painted(model: SplatModel, level: int, camera: Camera, renderer: Renderer) -> Image8:
     """A level as a camera sees it, on black, uint8 [H, W, 3]."""
     with torch.no_grad():
-        black = torch.zeros(3, device=renderer.device)
-        return LevelRenderer(model, renderer, black).paint(camera, level)
+        return LevelRenderer(model, renderer).paint(camera, level)
 
 
 def evenly(cameras: Sequence[Camera], count: int) -> list[Camera]:

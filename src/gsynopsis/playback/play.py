@@ -324,6 +324,5 @@ class Rendered:
         return self._model[1]
 
     def _render(self, model: MultiLevelModel, camera: Camera) -> Image8:
-        black = torch.zeros(3, device=self._renderer.device)
         with torch.no_grad():
-            return LevelRenderer(model, self._renderer, black).paint(camera, -1)
+            return LevelRenderer(model, self._renderer).paint(camera, -1)

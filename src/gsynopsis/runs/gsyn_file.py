@@ -220,7 +220,7 @@ class File:
 
         chosen = make_renderer(renderer, budgeted=True)
         model = self._model(level, str(chosen.device))
-        painter = LevelRenderer(model, chosen, torch.zeros(3, device=chosen.device))
+        painter = LevelRenderer(model, chosen)
         with torch.no_grad():
             return Image.fromarray(painter.paint(camera or self.first_camera(), -1))
 

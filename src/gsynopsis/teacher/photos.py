@@ -82,7 +82,7 @@ class ScenePhotos:
         """
         train = self.scene.train
         some = train[:: -(-len(train) // COMPARED)]
-        painter = LevelRenderer(model, renderer, torch.zeros(3, device=renderer.device))
+        painter = LevelRenderer(model, renderer)
         with torch.no_grad():
             renders = [painter.paint(camera, 0) for camera in self.cameras(some)]
         photos = [self.pixels(v, render) for v, render in zip(some, renders, strict=True)]

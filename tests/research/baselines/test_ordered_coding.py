@@ -71,7 +71,7 @@ def test_images_lose_about_what_was_ordered(scene: Scene, trained: PlainGaussian
         read = decoder_of(splat_levels(trained, worth, [count], {}, steps))
         shown = [
             [
-                psnr(LevelRenderer(model, RENDERER, torch.zeros(3)).paint(camera, 0), image)
+                psnr(LevelRenderer(model, RENDERER).paint(camera, 0), image)
                 for camera, image in ((scene.camera(v), scene.image(v)) for v in scene.train)
             ]
             for model in (SplatModel(trained), read)
