@@ -59,7 +59,7 @@ def test_empty_blackens_photos_and_leaves_out_points_outside(small_room: Path) -
         middle = slice(width // 4, 3 * width // 4)
         assert np.array_equal(scene.image(0)[:, middle], usual.image(0)[:, middle])
         assert np.array_equal(same.image(0), usual.image(0))
-        kept = points_inside(same)
+        kept = points_inside(same.points, [same.views[view] for view in same.train])
         assert 0 < kept.sum() < len(kept)
         assert np.array_equal(scene.points, usual.points[kept])
         assert any("points lie outside the masks" in note for note in scene.notes)
@@ -79,7 +79,7 @@ def test_a_mask_of_another_shape_or_black_or_of_no_photo_is_refused(tiny) -> Non
         load_scene(root)
     write_mask(root / "masks" / "a.png", slice(0, 0))
     with pytest.raises(SceneError, match=r"a\.png: mask: found black all over, expected white"):
-        list(check_masks(load_scene(root)))
+        list(check_masks(load_scene(root).views))
     with pytest.raises(SceneError, match=r"found none of 7 points inside the masks"):
         load_scene(root, reading=EMPTY)
 
@@ -195,7 +195,7 @@ def test_masks_of_0_and_1_are_black_and_white(mode: str, tiny) -> None:
     mask = scene.mask(0)
     assert mask is not None
     assert (mask[:, :6] == 1).all() and (mask[:, 6:] == 0).all()
-    list(check_masks(scene))
+    list(check_masks(scene.views))
 
 
 def cut_out(path: Path, white: slice) -> None:

@@ -17,7 +17,7 @@ from PIL import Image
 from gsynopsis.capture.photo_set import gather
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.photos import check_photos, load_photo
-from gsynopsis.scene.stored import Decoding, header_size
+from gsynopsis.scene.stored import Decoding, read_header
 
 SOURCE = Path(__file__).parent.parent.parent / "src" / "gsynopsis"
 POSTSCRIPT = b"""%!PS-Adobe-3.0 EPSF-3.0
@@ -67,7 +67,7 @@ def test_a_picture_of_another_format_starts_nothing(
     path = tmp_path / "photos" / "p0.png"
     path.parent.mkdir()
     path.write_bytes(content)
-    for read in (header_size, lambda p: load_photo(p, 1), lambda p: list(check_photos([p]))):
+    for read in (read_header, lambda p: load_photo(p, 1), lambda p: list(check_photos([p]))):
         with pytest.raises(SceneError, match=r"p0\.png: pixels: found .*JPEG, PNG") as caught:
             read(path)
         assert "\n" not in str(caught.value)
@@ -90,7 +90,7 @@ def test_pipes_and_devices_in_place_of_photos_are_one_line_at_once(tmp_path: Pat
         with pytest.raises(SceneError, match=rf"{name}: found {kind}, expected a photo"):
             load_photo(tmp_path / name, 1)
         with pytest.raises(SceneError, match=rf"{name}: found {kind}, expected a photo"):
-            header_size(tmp_path / name)
+            read_header(tmp_path / name)
 
 
 @pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
@@ -102,7 +102,7 @@ def test_a_photo_of_too_many_pixels_is_one_line(tmp_path: Path, size: tuple[int,
         file.write(b"\x89PNG\r\n\x1a\n" + struct.pack(">I", len(head)) + b"IHDR" + head)
         file.write(struct.pack(">I", zlib.crc32(b"IHDR" + head)) + b"\0\0\0\0IDAT")
     with pytest.raises(SceneError, match=r"found .*pixels\)?, expected at most 268,435,456 pix"):
-        header_size(path)
+        read_header(path)
 
 
 def test_large_photos_are_decoded_one_at_a_time() -> None:

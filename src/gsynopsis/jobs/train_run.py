@@ -219,12 +219,12 @@ def _enter_folder(scene: Scene, out: Path, held: ExitStack, observer: Observer) 
     """
     make_folder(out)
     held.enter_context(run_lock(out))
-    paths = [scene.views[view].path for view in sorted({*scene.train, *scene.test})]
-    for done, _ in enumerate(check_photos(paths), start=1):
-        observer.on_pass("opening photos", done, len(paths))
+    views = [scene.views[view] for view in sorted({*scene.train, *scene.test})]
+    for done, _ in enumerate(check_photos([view.path for view in views]), start=1):
+        observer.on_pass("opening photos", done, len(views))
     if scene.masked:
-        for done, _ in enumerate(check_masks(scene), start=1):
-            observer.on_pass("opening masks", done, len(paths))
+        for done, _ in enumerate(check_masks(views), start=1):
+            observer.on_pass("opening masks", done, len(views))
 
 
 def _prepare(

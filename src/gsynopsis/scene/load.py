@@ -101,7 +101,7 @@ def _within_masks(scene: Scene) -> Scene:
     Raises:
         SceneError: No point is left.
     """
-    inside = points_inside(scene)
+    inside = points_inside(scene.points, [scene.views[view] for view in scene.train])
     if not inside.any():
         found = f"none of {len(inside):,} points inside the masks"
         advice = "masks are white where the object is: invert them, or read the scene without"

@@ -5,22 +5,22 @@ in `masks/` or `mask/` under its photo's name, see `MaskFolder`, or a transforms
 """
 
 import shutil
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from gsynopsis.errors import SceneError
-from gsynopsis.scene.camera import STILL, Camera, Shift
+from gsynopsis.scene.camera import STILL, Shift
 from gsynopsis.scene.colmap.distortion import Warp
 from gsynopsis.scene.photos import PhotoForm, is_photo, load_photo
 from gsynopsis.scene.search import MASK_ENDS, MASK_FOLDERS, MASK_KINDS, folded
 from gsynopsis.scene.spheres import Cut
-from gsynopsis.scene.stored import header_size, read_header
+from gsynopsis.scene.stored import read_header
 from gsynopsis.scene.views import SceneRecords, View, photo_name, same_shape
 
 MaskUse = Literal["loss", "empty", "alpha", "off"]
@@ -31,39 +31,6 @@ INSIDE = 0.5
 that have it in their frame."""
 COARSE_PIXELS = 320
 """Width at which points are looked up in masks."""
-
-
-class MaskedScene(Protocol):
-    """The part of a scene that masks are about; see `Scene`."""
-
-    @property
-    def root(self) -> Path:
-        """Folder of the scene."""
-        ...
-
-    @property
-    def views(self) -> Sequence[View]:
-        """All views."""
-        ...
-
-    @property
-    def train(self) -> Sequence[int]:
-        """Views to train on."""
-        ...
-
-    @property
-    def test(self) -> Sequence[int]:
-        """Held-out views."""
-        ...
-
-    @property
-    def points(self) -> NDArray[np.float64]:
-        """Sparse points, [P, 3]."""
-        ...
-
-    def camera(self, view: int, factor: float = 1) -> Camera:
-        """Camera of a view whose photo is divided by `factor`."""
-        ...
 
 
 def with_masks(root: Path, listing: SceneRecords, use: MaskUse) -> SceneRecords:
@@ -198,7 +165,7 @@ def check_mask_shape(mask: Path, wanted: tuple[int, int]) -> None:
     Raises:
         SceneError: it is of another shape, or unreadable.
     """
-    size = header_size(mask)
+    size = read_header(mask).size
     if size != wanted and not same_shape(size, wanted):
         raise SceneError(
             mask,
@@ -265,17 +232,16 @@ def load_mask(
     return pixels[:, :, 0].astype(np.float32) / np.float32(255)
 
 
-def check_masks(scene: MaskedScene) -> Iterator[int]:
-    """Decodes the masks of all views in use; gives the number of each view once it is known good.
+def check_masks(views: Iterable[View]) -> Iterator[View]:
+    """Decodes the masks of views; gives each view once its mask is known to be good.
 
     Raises:
         SceneError: One cannot be decoded, or is black all over.
     """
-    for view in sorted({*scene.train, *scene.test}):
-        own = scene.views[view]
-        if own.mask is not None and float(load_mask(own, 1).max()) < INSIDE:
+    for view in views:
+        if view.mask is not None and float(load_mask(view, 1).max()) < INSIDE:
             raise SceneError(
-                own.mask,
+                view.mask,
                 "mask",
                 found="black all over",
                 expected="white where the object is",
@@ -284,19 +250,18 @@ def check_masks(scene: MaskedScene) -> Iterator[int]:
         yield view
 
 
-def points_inside(scene: MaskedScene) -> NDArray[np.bool_]:
-    """Sparse points inside the masks of half of the photos that have them in frame, bool [P].
+def points_inside(points: NDArray[np.float64], views: Iterable[View]) -> NDArray[np.bool_]:
+    """Points [P, 3] inside the masks of half of the photos that have them in frame, bool [P].
 
     Photos without a mask do not count.
     """
-    inside, seen = np.zeros(len(scene.points)), np.zeros(len(scene.points))
-    for view in scene.train:
-        own = scene.views[view]
-        if own.mask is None:
+    inside, seen = np.zeros(len(points)), np.zeros(len(points))
+    for view in views:
+        if view.mask is None:
             continue
-        factor = max(1.0, own.camera.width / COARSE_PIXELS)
-        mask = load_mask(own, factor)
-        framed = scene.camera(view, factor).framed(scene.points)
+        factor = max(1.0, view.camera.width / COARSE_PIXELS)
+        mask = load_mask(view, factor)
+        framed = view.camera.scaled(factor).framed(points)
         seen += framed.which
         inside[framed.which] += mask[framed.rows, framed.columns] >= INSIDE
     return (seen > 0) & (inside >= INSIDE * seen)

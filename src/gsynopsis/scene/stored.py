@@ -221,15 +221,6 @@ def profile_notes(colors: Iterable[str]) -> list[str]:
     return [f"{len(wide)} photos have colours of {named}: converted to sRGB"]
 
 
-def header_size(path: Path) -> tuple[int, int]:
-    """Width and height of a photo in pixels as stored, from its header alone.
-
-    Raises:
-        SceneError: See `read_header`.
-    """
-    return read_header(path).size
-
-
 def _too_large(path: Path, found: str) -> SceneError:
     wanted = f"at most {MOST_PIXELS:,} pixels"
     return SceneError(path, found=found, expected=wanted, advice="make its sides half as long")

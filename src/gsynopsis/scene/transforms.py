@@ -36,7 +36,7 @@ from gsynopsis.scene.panoramas import CUT_POSED
 from gsynopsis.scene.ply import read_ply
 from gsynopsis.scene.search import PhotoIndex, unused_files
 from gsynopsis.scene.splits import SplitLists
-from gsynopsis.scene.stored import header_size
+from gsynopsis.scene.stored import read_header
 from gsynopsis.scene.views import (
     LOST,
     MISSING,
@@ -396,7 +396,7 @@ def _size(frame: _Table, path: Path | None) -> tuple[int, int]:
     """Image size in the file, else that of the photo."""
     wide, high = frame.number("w"), frame.number("h")
     if wide is None or high is None:
-        return (UNSAID, UNSAID) if path is None else header_size(path)
+        return (UNSAID, UNSAID) if path is None else read_header(path).size
     for key, side in (("w", wide), ("h", high)):
         if side != int(side) or not 1 <= side <= LARGEST_SIDE:
             raise frame.bad(key, side, f"whole pixels, 1 to {LARGEST_SIDE}")

@@ -23,7 +23,7 @@ from gsynopsis.scene.programs.posed_photos import (
     PosedPhoto,
     Poses,
 )
-from gsynopsis.scene.stored import header_size
+from gsynopsis.scene.stored import read_header
 
 FILM = 36.0
 """Longer side of 35 mm film, mm."""
@@ -49,7 +49,7 @@ def read_realitycapture(path: Path, photographs: PhotosByLabel) -> Poses:
         found = photographs.find(name)
         camera = None
         if found is not None:
-            camera = _pinhole(path, field, value, header_size(found))
+            camera = _pinhole(path, field, value, read_header(found).size)
             tangential |= bool(value.get("t1") or value.get("t2"))
         photos.append(PosedPhoto(name, camera, world_to_camera(rotation, place), field))
     notes = ("t1 and t2 of RealityCapture are taken as OpenCV's p1 and p2",) * tangential
