@@ -4,7 +4,6 @@ from gsynopsis.config.presets import PRESETS, Preset, PresetName, preset_of
 from gsynopsis.config.rates import RATES, RateConfig, RateTable
 from gsynopsis.config.recipe import Recipe, preset_value, resolve_settings
 from gsynopsis.config.serialize import (
-    check_config,
     config_from_json,
     config_from_values,
     config_to_json,
@@ -44,7 +43,6 @@ __all__ = [
     "Sequential",
     "Split",
     "TrainConfig",
-    "check_config",
     "config_from_json",
     "config_from_values",
     "config_to_json",

@@ -1,6 +1,6 @@
 """Settings as nested plain values and as JSON, by msgspec; types and ranges are checked there.
 
-What several settings must be together is checked here, see `check_config`.
+What several settings must be together is checked here, see `_check_together`.
 """
 
 import json
@@ -106,15 +106,6 @@ def config_from_values(values: Mapping[str, Any]) -> Config:
     config = Config(typed.scale, typed.split, typed.model, typed.train, typed.levels)
     _check_together(config)
     return config
-
-
-def check_config(config: Config) -> Config:
-    """The same settings, once they are known to be usable.
-
-    Raises:
-        SettingError: names the option, the value found and the one expected.
-    """
-    return config_from_values(asdict(config))
 
 
 def replaced(config: Config, changes: Mapping[str, Any]) -> Config:

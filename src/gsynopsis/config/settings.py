@@ -1,7 +1,8 @@
 """Settings as frozen dataclasses: types, ranges and defaults. Defaults are the paper's values.
 
 Each field gives its unit and where its value comes from: a section of docs/methods.md (which cites
-the papers) or "ours" and why. Ranges are part of the types; `store.check_config` enforces them.
+the papers) or "ours" and why. Ranges are part of the types; `serialize.config_from_values` enforces
+them.
 """
 
 from dataclasses import dataclass, field
