@@ -6,7 +6,7 @@ of spherical harmonics beyond the first of each colour, S stages of codes.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,16 @@ SPLAT_VALUES = 7
 """Residual values of a splat: three of rotation, the opacity's logit, colour as Y, Co, Cg."""
 SH_0 = 0.28209479177387814
 """The spherical harmonic of degree 0: a colour is half, plus this times its first coefficient."""
+SH_1 = 0.4886025119029199
+SH_2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
+SH_3 = (
+    0.5900435899266435,
+    2.890611442640554,
+    0.4570457994644658,
+    0.3731763325901154,
+    1.445305721320277,
+)
+"""Factors of the spherical harmonics of degree 1 to 3."""
 HARMONICS = (0, 9, 24, 45)
 """H for spherical harmonics of degree 0 to 3."""
 
@@ -117,6 +127,17 @@ class Shared:
     def harmonics(self) -> int:
         """H, of splats; 0 for anchors."""
         return HARMONICS[self.degree or 0]
+
+    def of_rows(self, rows: slice | NDArray[np.int64]) -> "Shared":
+        """The values of some rows, in their order."""
+        return replace(
+            self,
+            lattice=self.lattice[rows],
+            log_scales=self.log_scales[rows],
+            offsets=self.offsets[rows],
+            codes=self.codes[rows] if len(self.codes) else self.codes,
+            residual=self.residual[rows],
+        )
 
 
 @dataclass(frozen=True)
@@ -223,19 +244,16 @@ class LevelSet:
     def upto(self, level: int) -> "LevelSet":
         """The level set that ends with `level`, as a client has it after that many deltas."""
         last = self.levels[level]
-        n, s = last.anchors, self.shared
-        codes = s.codes[:n] if len(s.codes) else s.codes
+        s = self.shared.of_rows(slice(last.anchors))
+        codes = s.codes
         if s.degree is not None:
             codes = codes[:, : max(stages_of(s, v) for v in self.levels[: level + 1])]
-        shared = Shared(
-            lattice=s.lattice[:n],
-            log_scales=s.log_scales[:n],
-            offsets=np.where(last.mask[:, :, None], s.offsets[:n], np.float32(0)),
+        shared = replace(
+            s,
+            offsets=np.where(last.mask[:, :, None], s.offsets, np.float32(0)),
             codes=codes,
-            residual=s.residual[:n],
             grids=tuple(s.grids[: last.grids]),
             grid_resolutions=tuple(s.grid_resolutions[: last.grids]),
-            degree=s.degree,
             stand_ins=s.stand_ins if level % len(self.levels) >= s.stand_ins else 0,
         )
         return LevelSet(self.frame, shared, self.levels[: level + 1], self.meta)

@@ -6,11 +6,12 @@ of 3DGS, y down, in PLY and SOG; y up in SPZ, glTF and USD. Writers take Gaussia
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.records import SH_0, PlainGaussians
+from gsynopsis.records import SH_0, SH_1, SH_2, SH_3, PlainGaussians
 
 Up = tuple[float, float, float]
 Float64 = NDArray[np.float64]
@@ -22,15 +23,6 @@ AXIS = re.compile(r"([+-]?)\s*([xyz])(?:[\s_-]*up)?", re.IGNORECASE)
 BRACKETS = str.maketrans("[](){},;", " " * 8)
 SHORTEST, LONGEST = 1e-6, 1e6
 """Range of the length of a direction vector."""
-SH_1 = 0.4886025119029199
-SH_2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
-SH_3 = (
-    0.5900435899266435,
-    2.890611442640554,
-    0.4570457994644658,
-    0.3731763325901154,
-    1.445305721320277,
-)
 
 
 def parse_up(text: str) -> Up | None:
@@ -88,11 +80,10 @@ def turned(gaussians: PlainGaussians, turn: Float64) -> PlainGaussians:
     w, x, y, z = turn
     left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     harmonics = _harmonics_turned(matrix, g.sh.shape[1]).astype(np.float32)
-    return PlainGaussians(
+    return replace(
+        g,
         means=(g.means.astype(np.float64) @ matrix.T).astype(np.float32),
-        log_scales=g.log_scales,
         quaternions=(g.quaternions.astype(np.float64) @ left.T).astype(np.float32),
-        logits=g.logits,
         sh=np.einsum("ab,gbc->gac", harmonics, g.sh),
     )
 
@@ -106,11 +97,10 @@ def mirrored(gaussians: PlainGaussians) -> PlainGaussians:
     """The same Gaussians in a world whose z axis points the other way: in a mirror."""
     g, signs = gaussians, np.diag([1.0, 1.0, -1.0])
     harmonics = _harmonics_turned(signs, g.sh.shape[1]).astype(np.float32)
-    return PlainGaussians(
+    return replace(
+        g,
         means=g.means * np.array([1, 1, -1], np.float32),
-        log_scales=g.log_scales,
         quaternions=g.quaternions * np.array([1, -1, -1, 1], np.float32),
-        logits=g.logits,
         sh=np.einsum("ab,gbc->gac", harmonics, g.sh),
     )
 
@@ -151,11 +141,8 @@ def _shortest(start: Float64, end: Float64) -> Float64:
 
 
 def _product(a: Float64, b: Float64) -> Float64:
-    return np.array([a[0] * b[0] - a[1:] @ b[1:], *(a[0] * b[1:] + b[0] * a[1:] + _cross(a, b))])
-
-
-def _cross(a: Float64, b: Float64) -> Float64:
-    return np.cross(a[1:], b[1:])
+    across = np.cross(a[1:], b[1:])
+    return np.array([a[0] * b[0] - a[1:] @ b[1:], *(a[0] * b[1:] + b[0] * a[1:] + across)])
 
 
 def matrix_of(q: Float64) -> Float64:

@@ -3,17 +3,7 @@
 import torch
 from torch import Tensor
 
-from gsynopsis.records import SH_0
-
-SH_1 = 0.4886025119029199
-SH_2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
-SH_3 = (
-    0.5900435899266435,
-    2.890611442640554,
-    0.4570457994644658,
-    0.3731763325901154,
-    1.445305721320277,
-)
+from gsynopsis.records import SH_0, SH_1, SH_2, SH_3
 
 
 def harmonic_colors(sh: Tensor, away: Tensor) -> Tensor:

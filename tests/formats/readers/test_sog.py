@@ -11,7 +11,6 @@ import pytest
 
 from gsynopsis.errors import InputError
 from gsynopsis.formats.readers.any import read_splats
-from gsynopsis.formats.readers.sog import read_sog
 from gsynopsis.formats.writers.sog import sog_bytes
 from tests.formats.scattered import scattered
 
@@ -35,7 +34,7 @@ def folder_of(data: bytes, path: Path, **changed: Any) -> Path:
 def test_a_folder_holds_what_its_bundle_does(whole: bytes, tmp_path: Path) -> None:
     (tmp_path / "a.sog").write_bytes(whole)
     bundled = read_splats(tmp_path / "a.sog")
-    found = read_sog(folder_of(whole, tmp_path / "a"))
+    found = read_splats(folder_of(whole, tmp_path / "a"))
     assert bundled.kind == found.kind == "SOG" and len(found.levels[0]) == COUNT
     for name, values in vars(found.levels[0]).items():
         assert np.array_equal(values, getattr(bundled.levels[0], name)), name
@@ -59,7 +58,7 @@ def test_a_meta_that_cannot_be_is_refused_by_field(
     whole: bytes, tmp_path: Path, changed: dict[str, Any], words: str
 ) -> None:
     with pytest.raises(InputError) as caught:
-        read_sog(folder_of(whole, tmp_path, **changed))
+        read_splats(folder_of(whole, tmp_path, **changed))
     assert words in str(caught.value)
 
 
@@ -68,7 +67,7 @@ def test_a_picture_that_is_missing_or_none_is_named(whole: bytes, tmp_path: Path
     quats = json.loads(meta.read_text())["quats"]["files"][0]
     (tmp_path / quats).write_bytes(b"RIFF")
     with pytest.raises(InputError, match=quats):
-        read_sog(meta)
+        read_splats(meta)
     (tmp_path / quats).unlink()
     with pytest.raises(InputError):
-        read_sog(meta)
+        read_splats(meta)

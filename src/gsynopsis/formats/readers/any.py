@@ -11,9 +11,10 @@ from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.formats.readers.glb import MAGIC as GLB
 from gsynopsis.formats.readers.glb import read_glb
 from gsynopsis.formats.readers.ksplat import read_ksplat
-from gsynopsis.formats.readers.lod import NAME, lods_of, read_lods
+from gsynopsis.formats.readers.lod import NAME, lods_of
+from gsynopsis.formats.readers.opening import Folder
 from gsynopsis.formats.readers.ply import read_ply
-from gsynopsis.formats.readers.sog import META, bundle_of, bundled, read_sog
+from gsynopsis.formats.readers.sog import META, bundled, sog_of
 from gsynopsis.formats.readers.splat import read_splat
 from gsynopsis.formats.readers.spz import GZIP, MAGIC, read_spz
 from gsynopsis.formats.readers.usd import BEGINS as USD
@@ -82,7 +83,8 @@ def _read(path: Path) -> SplatFile:
     if start in USD:
         return read_usd(path)
     if path.suffix == ".json":
-        return read_lods(path) if "lod" in path.name else read_sog(path)
+        of = lods_of if "lod" in path.name else sog_of
+        return of(Folder(path.parent), path.name, path)
     if reader := NAMED.get(path.suffix.lower()):
         return reader(path)
     found = f"a file that begins with {start!r}" if start else "an empty file"
@@ -94,7 +96,7 @@ def _read_bundle(path: Path) -> SplatFile:
     with open_regular(path) as file, bundled(file, path) as bundle:
         if NAME in bundle.bundle.NameToInfo:
             return lods_of(bundle, NAME, path)
-        return bundle_of(bundle, path)
+        return sog_of(bundle, META, path)
 
 
 def _read_family(path: Path) -> SplatFile:

@@ -1,6 +1,7 @@
 """Binary glTF with KHR_gaussian_splatting: y up, values after activation, nodes that turn them."""
 
 import struct
+from dataclasses import replace
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any
@@ -177,10 +178,8 @@ def moved_by(gaussians: PlainGaussians, world: Float64) -> PlainGaussians:
     if np.linalg.det(turn) < 0:
         raise ValueError("a node that mirrors")
     found = turned(gaussians, quaternion_of(turn))
-    return PlainGaussians(
+    return replace(
+        found,
         means=(found.means * size + world[:3, 3]).astype(np.float32),
         log_scales=(found.log_scales + np.log(size)).astype(np.float32),
-        quaternions=found.quaternions,
-        logits=found.logits,
-        sh=found.sh,
     )

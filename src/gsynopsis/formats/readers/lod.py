@@ -14,7 +14,7 @@ from gsynopsis.formats.readers.base import (
     rows_of,
     shown,
 )
-from gsynopsis.formats.readers.opening import Files, Folder, parsed
+from gsynopsis.formats.readers.opening import Files, parsed
 from gsynopsis.formats.readers.sog import FOREIGN, read_pictures
 from gsynopsis.records import PlainGaussians
 
@@ -27,17 +27,8 @@ Piece = tuple[int, int, int]
 """Number of a file, first Gaussian there, and how many."""
 
 
-def read_lods(path: Path) -> SplatFile:
-    """The Gaussians of all levels of a streamed SOG in a folder.
-
-    Raises:
-        InputError: it is damaged, of another version or too large.
-    """
-    return lods_of(Folder(path.parent), path.name, path)
-
-
 def lods_of(files: Files, name: str, path: Path) -> SplatFile:
-    """The Gaussians of all levels; each begins with the environment, if there is one.
+    """The Gaussians of a streamed SOG; each level begins with the environment, if there is one.
 
     Args:
         files: Where its files are.

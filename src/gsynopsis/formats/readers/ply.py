@@ -6,7 +6,7 @@ add their own.
 """
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -120,8 +120,7 @@ def read_ply(path: Path) -> SplatFile:
         kind = "compressed PLY" if packed else "PLY"
         antialiased = _antialiased(header.comments)
         notes = (*notes, *more)
-        file = SplatFile((gaussians,), antialiased, up, kind, notes=notes, up_said=said)
-        file = replace(file, shift=shift)
+        file = SplatFile((gaussians,), antialiased, up, kind, 0, notes, said, shift)
         return cleaned(file, path)
 
 

@@ -24,7 +24,7 @@ from gsynopsis.formats.readers.base import (
     logits_of,
     shown,
 )
-from gsynopsis.formats.readers.opening import Bundle, Files, Folder, parsed
+from gsynopsis.formats.readers.opening import Bundle, Files, parsed
 from gsynopsis.formats.readers.packed import from_smallest
 from gsynopsis.records import HARMONICS, Float32, PlainGaussians
 
@@ -51,25 +51,17 @@ FOREIGN = (ArithmeticError, LookupError, TypeError, ValueError, AttributeError, 
 Array = NDArray[Any]
 
 
-def read_sog(path: Path) -> SplatFile:
-    """The Gaussians of the folder of a `meta.json`.
+def sog_of(files: Files, name: str, path: Path) -> SplatFile:
+    """The Gaussians of a SOG.
+
+    Args:
+        files: Where its files are.
+        name: Of its `meta.json`.
+        path: What messages call it.
 
     Raises:
         InputError: it is damaged, of another version or too large.
     """
-    return _file_of(Folder(path.parent), path.name, path)
-
-
-def bundle_of(bundle: Bundle, path: Path) -> SplatFile:
-    """The Gaussians of a bundled SOG.
-
-    Raises:
-        InputError: it is damaged, of another version or too large.
-    """
-    return _file_of(bundle, META, path)
-
-
-def _file_of(files: Files, name: str, path: Path) -> SplatFile:
     gaussians, antialiased = read_pictures(files, name, path)
     return cleaned(SplatFile((gaussians,), antialiased, kind="SOG"), path)
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from gsynopsis.formats.readers.glb import EXTENSION
 from gsynopsis.records import Float32, PlainGaussians
 
-EXTENSION = "KHR_gaussian_splatting"
 FLOAT = 5126
 VERTICES = 34962
 """glTF's target number of a buffer view of vertex attributes, which glTF-Validator asks for."""

@@ -25,7 +25,7 @@ def usd_bytes(gaussians: PlainGaussians) -> bytes:
     try:
         # Its modules have no types that a checker could read.
         gf, usd, geom, vol, vt = (
-            _module(name) for name in ("Gf", "Usd", "UsdGeom", "UsdVol", "Vt")
+            import_module(f"pxr.{name}") for name in ("Gf", "Usd", "UsdGeom", "UsdVol", "Vt")
         )
     except ModuleNotFoundError as error:
         raise MissingExtraError("usd-core", "usd") from error
@@ -56,7 +56,3 @@ def usd_bytes(gaussians: PlainGaussians) -> bytes:
 
 def _vectors(vt: Any, values: np.ndarray) -> Any:
     return vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))
-
-
-def _module(name: str) -> Any:
-    return import_module(f"pxr.{name}")
