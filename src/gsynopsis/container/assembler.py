@@ -303,17 +303,7 @@ class Assembler:
         """The levels of given masks; of the last one's rows, only those to keep."""
         shared = self._shared(len(masks), held)
         if keep is not None:
-            shared = Shared(
-                lattice=shared.lattice[keep],
-                log_scales=shared.log_scales[keep],
-                offsets=shared.offsets[keep],
-                codes=shared.codes[keep] if len(shared.codes) else shared.codes,
-                residual=shared.residual[keep],
-                grids=shared.grids,
-                grid_resolutions=shared.grid_resolutions,
-                degree=shared.degree,
-                stand_ins=shared.stand_ins,
-            )
+            shared = shared.of_rows(keep)
             masks = [mask[keep[keep < len(mask)]] for mask in masks]
         levels = tuple(self._level(number, mask) for number, mask in enumerate(masks))
         try:

@@ -51,7 +51,8 @@ MORTON_BITS_MAX = 63
 
 FAR = 2.0**60
 """Centre, radius and unit of distance stay below it, and a lattice cell below `VOXEL_MAX`: so
-positions stay below 2^63, and they and their distances finite in float32."""
+positions stay below 2^63, and they and their distances finite in float32.
+Numbers of notes stay below it too."""
 NEAR = 1 / FAR
 VOXEL_MAX = 2.0**32
 SPLAT_VALUES = records.SPLAT_VALUES
@@ -69,7 +70,16 @@ _POINTERS = 1 << 53
 """Offsets and lengths stay exact in a JavaScript number."""
 
 
-class Kind(IntEnum):
+class Named(IntEnum):
+    """Numbers with names for people."""
+
+    @property
+    def label(self) -> str:
+        """The name used in messages, reports and the documentation."""
+        return self.name.lower()
+
+
+class Kind(Named):
     """Kinds of chunks, by their number in the file."""
 
     MANIFEST = 1
@@ -79,13 +89,8 @@ class Kind(IntEnum):
     GRID = 5
     BLOCKS = 6
 
-    @property
-    def label(self) -> str:
-        """The name used in messages, reports and the documentation."""
-        return self.name.lower()
 
-
-class Column(IntEnum):
+class Column(Named):
     """Columns of a block, in their order within it; the numbers are not stored."""
 
     LATTICE = 1
@@ -95,13 +100,8 @@ class Column(IntEnum):
     MASK = 5
     OFFSETS = 6
 
-    @property
-    def label(self) -> str:
-        """The name used in messages, reports and the documentation."""
-        return self.name.lower()
 
-
-class CodingId(IntEnum):
+class CodingId(Named):
     """Codings of floating-point arrays, by their number in the file; `codecs` has the functions."""
 
     FLOAT = 0
@@ -109,11 +109,6 @@ class CodingId(IntEnum):
     AFFINE8 = 2
     AFFINE16 = 3
     CURVE8 = 4
-
-    @property
-    def label(self) -> str:
-        """The name used in messages, reports and the documentation."""
-        return self.name.lower()
 
 
 class Field(NamedTuple):

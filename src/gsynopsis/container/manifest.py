@@ -12,19 +12,8 @@ from typing import Any, NoReturn, cast
 from gsynopsis.container import layout
 from gsynopsis.container.codecs import Bytes
 from gsynopsis.errors import ValueRangeError
-from gsynopsis.records import LevelSet
 
 FIELD = "manifest"
-
-
-def write_manifest(levels: LevelSet, where: str) -> bytes:
-    """The manifest of a level set; the same bytes for the same set.
-
-    Raises:
-        ValueRangeError: a figure is not finite, a name is not text, or it is too long.
-    """
-    quality = [level.quality for level in levels.levels]
-    return manifest_text(levels.meta, quality, len(levels.levels), where)
 
 
 def manifest_text(

@@ -88,16 +88,16 @@ def read_gsyn(path: Path | str, level: int | None = None) -> LevelSet:
         return assembled(file, str(path), level).level_set()
 
 
-def read_bytes(path: Path | str, level: int | None = None) -> bytes:
+def read_bytes(path: Path | str) -> bytes:
     """The bytes of a file, or of a prefix of it, after a check of everything in them.
 
     Raises:
         FormatError: the file breaks a promise of docs/format.md.
-        InputError: there is no such file or level.
+        InputError: there is no such file.
     """
     with open_gsyn(path) as file:
-        assembler = assembled(file, str(path), level)
-        return file[: assembler.index.levels[assembler.levels_ready - 1].end]
+        assembled(file, str(path))
+        return file[:]
 
 
 def assembled(data: Bytes | GsynFile, source: str, level: int | None = None) -> Assembler:

@@ -67,16 +67,8 @@ def sorted_levels(
     order = order[np.argsort(first, kind="stable")]
     if (order == np.arange(len(order))).all():
         return levels
-    moved = replace(
-        shared,
-        lattice=shared.lattice[order],
-        log_scales=shared.log_scales[order],
-        offsets=shared.offsets[order],
-        codes=shared.codes[order] if len(shared.codes) else shared.codes,
-        residual=shared.residual[order],
-    )
     inner = tuple(replace(v, mask=v.mask[order[: v.anchors]]) for v in levels.levels)
-    return LevelSet(levels.frame, moved, inner, levels.meta)
+    return LevelSet(levels.frame, shared.of_rows(order), inner, levels.meta)
 
 
 def blocks_of_levels(

@@ -26,7 +26,7 @@ from gsynopsis.container.index import (
     plan,
 )
 from gsynopsis.container.layout import ChunkEntry, CodingId, Header, Kind, LevelEntry
-from gsynopsis.container.manifest import write_manifest
+from gsynopsis.container.manifest import manifest_text
 from gsynopsis.container.pages import PAGE_BLOCKS, LevelPages, cut_pages, in_pages
 from gsynopsis.container.spatial import BASE_ANCHORS, BLOCK_ANCHORS, blocks_of_levels, sorted_levels
 from gsynopsis.container.values import (
@@ -209,7 +209,8 @@ class _Source:
         level = self.levels.levels[want.level]
         match want.kind:
             case Kind.MANIFEST:
-                text = write_manifest(self.levels, self.where)
+                quality = [level.quality for level in self.levels.levels]
+                text = manifest_text(self.levels.meta, quality, len(quality), self.where)
                 return _chunk(want, len(text), text, values=len(text))
             case Kind.DIRECTORY:
                 holder = self.pages[want.level] if self.pages else self.pieces[want.level]
@@ -264,9 +265,8 @@ def _chunk(
     values: int,
     coding: CodingId = CodingId.FLOAT,
     error: float = 0.0,
-    sections: tuple[int, ...] = (),
 ) -> _Chunk:
-    stored = deflate(raw, sections)[0]
+    stored = deflate(raw)[0]
     entry = ChunkEntry(
         kind=int(want.kind),
         level=want.level,

@@ -5,13 +5,12 @@ import math
 from pathlib import Path
 from typing import Any, cast
 
+from gsynopsis.container.layout import FAR
 from gsynopsis.errors import InputError
 
 ANNOTATIONS_MAX = 100
 TITLE_MAX, TEXT_MAX = 100, 2000
 """Characters."""
-FAR = 2.0**60
-"""No number of a note is larger."""
 VIEW = {"position": 3, "target": 3, "quaternion": 4}
 """Members of an annotation's camera, and how many numbers each has."""
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FAR = 2.0**60
-"""No number of a note is larger."""
+from gsynopsis.container.layout import FAR
+
 MIDDLE = 2.0
 """Falloff of weights towards the edges of the view."""
 
