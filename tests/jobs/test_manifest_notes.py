@@ -15,7 +15,7 @@ from tests.tiny import tiny_scene
 @pytest.mark.skipif(not features.check("webp"), reason="Pillow without WebP: no posters")
 def test_a_poster_is_a_photo_made_small_in_few_bytes() -> None:
     scene = tiny_scene(size=(96, 64))
-    data = parse_poster(poster_of(scene, scene.train[1]))
+    data = parse_poster(poster_of(scene.image(scene.train[1])))
     assert data is not None and len(data) <= 512
     picture = Image.open(io.BytesIO(data)).convert("RGB")
     assert picture.size == (POSTER_SIDE, POSTER_SIDE * 64 // 96)
@@ -25,7 +25,7 @@ def test_a_poster_is_a_photo_made_small_in_few_bytes() -> None:
 
 def test_photos_smaller_than_a_poster_stay_as_they_are() -> None:
     scene = tiny_scene(size=(24, 16))
-    data = parse_poster(poster_of(scene, scene.train[0]))
+    data = parse_poster(poster_of(scene.image(scene.train[0])))
     assert data is not None
     assert Image.open(io.BytesIO(data)).size == (24, 16)
 

@@ -7,7 +7,6 @@ Quality of each level is measured against pictures of the input, and is a note o
 of trained ones, unless too many of the cameras see nothing.
 """
 
-import io
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -17,7 +16,6 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
-from PIL import Image
 
 from gsynopsis import __version__
 from gsynopsis._native.runtime import one_torch_thread, release_freed
@@ -26,7 +24,6 @@ from gsynopsis.cameras.placement import shown
 from gsynopsis.cameras.sheet import sheet_path
 from gsynopsis.cameras.viewpoints import Viewpoints
 from gsynopsis.container.edit import annotated
-from gsynopsis.container.notes.poster import poster_text
 from gsynopsis.container.reader import decode
 from gsynopsis.container.writer import encode_with_account, publish
 from gsynopsis.errors import InputError, SettingError
@@ -35,7 +32,7 @@ from gsynopsis.formats.axes import DOWN, Up, up_text
 from gsynopsis.formats.readers.any import read_splats
 from gsynopsis.formats.readers.base import SplatFile
 from gsynopsis.jobs.fit_stand_ins import STEPS, fit_stand_ins
-from gsynopsis.jobs.manifest_notes import POSTER_QUALITY, POSTER_SIDE, shift_text
+from gsynopsis.jobs.manifest_notes import poster_of, shift_text
 from gsynopsis.jobs.splat_views import (
     evenly,
     known_cameras,
@@ -403,7 +400,7 @@ def notes_of(
     circle = circle_of_cameras(tour, given.up)
     # Of found cameras the first is that which shows most, well.
     first = small(first_view(tour, circle) if found.given else tour[0], VIEWS_SIDE)
-    poster = _poster(painted(model, 0, first, renderer))
+    poster = poster_of(painted(model, 0, first, renderer))
     focals = focals_text([ANTIALIASED] * LEVELS_MAX)
     return {
         "scene": Path(name).stem,
@@ -458,14 +455,3 @@ def _protocol(found: Viewpoints, views: Sequence[Camera]) -> dict[str, str]:
         "black background"
     )
     return {"protocol": text, "pictures": size}
-
-
-def _poster(picture: Image8) -> str:
-    image = Image.fromarray(picture)
-    image.thumbnail((POSTER_SIDE, POSTER_SIDE))
-    stream = io.BytesIO()
-    try:
-        image.save(stream, "WEBP", quality=POSTER_QUALITY, method=6)
-    except (KeyError, OSError):
-        return ""
-    return poster_text(stream.getvalue())

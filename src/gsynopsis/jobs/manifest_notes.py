@@ -13,6 +13,7 @@ from gsynopsis import __version__
 from gsynopsis.cameras.orbit import circle_of_cameras, circle_text, first_text, first_view
 from gsynopsis.config import level_scale
 from gsynopsis.container.notes.poster import poster_text
+from gsynopsis.evaluation.metrics import Image8
 from gsynopsis.evaluation.report import AtPhotoSize
 from gsynopsis.model.training_focals import focals_text
 from gsynopsis.model.view_bounds import view_bounds_of, view_bounds_text
@@ -25,7 +26,6 @@ from gsynopsis.records import (
     SHIFT_NOTE,
 )
 from gsynopsis.render.base import TrainingFocals
-from gsynopsis.scene.scene import Scene
 from gsynopsis.training.state import TrainState
 
 Up = tuple[float, float, float]
@@ -51,7 +51,8 @@ def training_notes(state: TrainState, preset: str, up: Up | None = None) -> dict
     view = next(v for v, c in zip(scene.train, cameras, strict=True) if c is first)
     eyes = np.stack([camera.position for camera in cameras])
     anchors, _ = state.model.placed()
-    poster = poster_of(scene, view)
+    factor = max(1.0, max(first.width, first.height) / POSTER_SIDE)
+    poster = poster_of(scene.image(view, factor))
     return {
         "scene": scene.name,
         "generator": f"gsynopsis {__version__}",
@@ -112,17 +113,11 @@ def quality_notes(
     return notes
 
 
-def poster_of(scene: Scene, view: int) -> str:
-    """The text of the tiny picture in a file, a photo; empty where Pillow cannot write WebP.
-
-    Raises:
-        SceneError: the photo cannot be read.
-    """
+def poster_of(image: Image8) -> str:
+    """The text of the tiny picture in a file; empty where Pillow cannot write WebP."""
     if not features.check("webp"):
         return ""
-    camera = scene.camera(view)
-    factor = max(1.0, max(camera.width, camera.height) / POSTER_SIDE)
-    picture = Image.fromarray(scene.image(view, factor))
+    picture = Image.fromarray(image)
     picture.thumbnail((POSTER_SIDE, POSTER_SIDE))
     stream = io.BytesIO()
     picture.save(stream, "WEBP", quality=POSTER_QUALITY, method=6)
