@@ -44,7 +44,6 @@ class FetchedRange:
 
     key: Hashable
     data: bytes
-    began: float
     ended: float
 
 
@@ -54,7 +53,6 @@ class _Job:
 
     start: int
     stop: int
-    began: float
     data: bytearray = field(default_factory=bytearray)
     ticket: int = 0
     heard: float = 0.0
@@ -154,9 +152,9 @@ class Fetcher:
             raise ValueError(f"{IN_FLIGHT} requests are under way already")
         now = self.transport.now()
         if start == stop:
-            self._whole.append(FetchedRange(key, b"", now, now))
+            self._whole.append(FetchedRange(key, b"", now))
             return
-        job = _Job(start, stop, now, clip=clip, since=now)
+        job = _Job(start, stop, clip=clip, since=now)
         self._jobs[key] = job
         self._begin(key, job)
 
@@ -189,7 +187,7 @@ class Fetcher:
             whole = len(job.data) == job.stop - job.start
             if whole or (job.clip and job.data and event.error is None):
                 del self._jobs[key]
-                done.append(FetchedRange(key, bytes(job.data), job.began, event.time))
+                done.append(FetchedRange(key, bytes(job.data), event.time))
             else:
                 self._failed(job, event.error, event.time)
         return done

@@ -12,9 +12,9 @@ import re
 import ssl
 import threading
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
-from types import TracebackType
 
 import httpx
 
@@ -30,14 +30,6 @@ BUSY = (408, 425, 429, 500, 502, 503, 504)
 """Answers worth another try."""
 CONTENT_RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+|\*)")
 TEXT_MAX = 80
-
-Signer = Callable[[str], tuple[str, Mapping[str, str]]]
-"""Called before each request with the address: the address and headers to use this once."""
-
-
-def unsigned(address: str) -> tuple[str, Mapping[str, str]]:
-    """The hook of a public address: nothing to add."""
-    return address, {}
 
 
 @dataclass(frozen=True)
@@ -66,18 +58,14 @@ class HttpSource:
         self,
         address: str,
         *,
-        sign: Signer = unsigned,
         whole_max: int = WHOLE_MAX,
-        timeout: float = TIMEOUT,
         client: httpx.Client | None = None,
     ) -> None:
         """Prepare a source; nothing is fetched yet.
 
         Args:
             address: An http or https URL.
-            sign: Hook for signed addresses and headers such as Authorization.
             whole_max: Most bytes kept if the server has no ranges.
-            timeout: Seconds without a byte after which a read breaks off.
             client: Another client, for tests; closed with the source.
 
         Raises:
@@ -89,8 +77,8 @@ class HttpSource:
             raise SourceError(address, found=error, expected="an http address") from error
         if url.scheme not in {"http", "https"} or not url.host:
             raise SourceError(address, found="no http address", expected="http://… or https://…")
-        self._address, self._sign, self._whole_max = address, sign, whole_max
-        self._client = client or httpx.Client(timeout=timeout, follow_redirects=True)
+        self._address, self._whole_max = address, whole_max
+        self._client = client or httpx.Client(timeout=TIMEOUT, follow_redirects=True)
         self._lock = threading.Lock()
         self._stamp = FileVersion()
         self._whole: _Whole | None = None
@@ -110,16 +98,18 @@ class HttpSource:
         if not 0 <= start < stop:
             raise SourceError(self.name, "range", found=f"{start} to {stop}")
         if self._whole is None:
-            with self._ask({"Range": f"bytes={start}-{stop - 1}"}) as answer:
-                response = answer.response
+            response = self._ask({"Range": f"bytes={start}-{stop - 1}"})
+            with ExitStack() as answer:
+                answer.callback(response.close)
                 length = self._length(response, start, stop)
                 if length:
                     yield from _pieces(response, length, self.name)
                     return
                 if response.status_code == 200:
-                    self._keep(answer.detach())
+                    answer.pop_all()
+                    self._keep(response)
         if self._whole is None:
-            self._keep(self._ask({}).detach())
+            self._keep(self._ask({}))
         whole = self._whole
         assert whole is not None
         try:
@@ -133,14 +123,13 @@ class HttpSource:
         """Give connections back."""
         self._client.close()
 
-    def _ask(self, headers: dict[str, str]) -> "_Answer":
+    def _ask(self, headers: dict[str, str]) -> httpx.Response:
         """Send a request; the answer's head is checked, its body is still to be read."""
-        address, extra = self._sign(self._address)
-        headers = {**extra, "Accept-Encoding": "identity", **headers}
+        headers = {"Accept-Encoding": "identity", **headers}
         if "Range" in headers and self._stamp.condition:
             headers["If-Range"] = self._stamp.condition
         try:
-            request = self._client.build_request("GET", address, headers=headers)
+            request = self._client.build_request("GET", self._address, headers=headers)
             response = self._client.send(request, stream=True)
         except (httpx.HTTPError, httpx.InvalidURL) as error:
             raise translated(self.name, error) from error
@@ -149,7 +138,7 @@ class HttpSource:
         except SourceError:
             response.close()
             raise
-        return _Answer(response)
+        return response
 
     def _check(self, response: httpx.Response) -> None:
         """Refuse a status other than 200 and 206, and a version that is not the first one."""
@@ -199,30 +188,6 @@ class HttpSource:
         if self._whole is None:
             found = f"{response.status_code} to a plain request"
             raise SourceError(self.name, found=found, expected="200")
-
-
-class _Answer:
-    """An open response that is closed at the end of a `with`, unless someone took it over."""
-
-    def __init__(self, response: httpx.Response) -> None:
-        self.response, self._taken = response, False
-
-    def detach(self) -> httpx.Response:
-        """The response; the caller closes it."""
-        self._taken = True
-        return self.response
-
-    def __enter__(self) -> "_Answer":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if not self._taken:
-            self.response.close()
 
 
 class _Whole:

@@ -365,7 +365,7 @@ class Session:
         for key in [k for k in self._first if self.catalog.items[k].stop <= len(data)]:
             item = self.catalog.items[key]
             self._first.remove(key)
-            self._early[key] = FetchedRange(key, data[item.start : item.stop], 0.0, time)
+            self._early[key] = FetchedRange(key, data[item.start : item.stop], time)
         self._take_tails(self.catalog)
 
     def _open(self) -> None:
@@ -399,7 +399,7 @@ class Session:
             for key in run:
                 item, first = catalog.items[key], self._pending[key][0].start
                 part = data[first - start : item.stop - start]
-                self._early[key] = FetchedRange(key, part, completed.began, ended)
+                self._early[key] = FetchedRange(key, part, ended)
         self._take_items(catalog)
 
     def _take_items(self, catalog: Catalog) -> None:
