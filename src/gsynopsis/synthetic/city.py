@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.synthetic.objects import ball, block, post
-from gsynopsis.synthetic.raytracer import Paint, RayScene, Spot, Surface, decode_srgb
-from gsynopsis.synthetic.shapes import Ellipsoid, Floats, Plane, column, unit
+from gsynopsis.synthetic.raytracer import Paint, RayScene, Spot, Surface, decode_srgb, sunlight
+from gsynopsis.synthetic.shapes import Ellipsoid, Floats, Plane, column
 from gsynopsis.synthetic.textures import (
     FLAT,
     UPRIGHT,
     cells,
     facing,
-    mix,
+    from_all_sides,
     mottled,
     over,
     placed,
@@ -58,14 +58,8 @@ def world(seed: int, grid: tuple[int, int]) -> RayScene:
     rng = np.random.default_rng(seed)
     for x, y in block_centers(grid):
         surfaces += _houses(rng, (x, y), seed + len(surfaces))
-    sun = column((0.45, -0.6, 0.66))
-    jitter = ((0.012, 0.012), (-0.012, 0.012), (0.012, -0.012), (-0.012, -0.012))
-    lights = np.stack([unit(sun + column((a, b, 0)))[:, 0] for a, b in jitter])
-    above, below = decode_srgb("#a9c8ee") * 0.62, decode_srgb("#8a8578") * 0.35
-
-    def ambient(spot: Spot) -> Floats:
-        return mix(below, above, 0.5 + 0.5 * spot.normal[2])
-
+    lights = sunlight((0.45, -0.6, 0.66), 0.012)
+    ambient = from_all_sides(decode_srgb("#8a8578") * 0.35, decode_srgb("#a9c8ee") * 0.62)
     return RayScene(tuple(surfaces), lights, True, decode_srgb("#fff0d2") * 1.0, ambient)
 
 

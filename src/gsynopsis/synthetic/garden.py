@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from gsynopsis.synthetic.objects import ball, block, post
-from gsynopsis.synthetic.raytracer import Paint, RayScene, Spot, Surface, decode_srgb
-from gsynopsis.synthetic.shapes import Ellipsoid, Floats, Plane, Ridge, column, unit
+from gsynopsis.synthetic.raytracer import Paint, RayScene, Spot, Surface, decode_srgb, sunlight
+from gsynopsis.synthetic.shapes import Ellipsoid, Floats, Plane, Ridge, column
 from gsynopsis.synthetic.textures import (
     FLAT,
     UPRIGHT,
@@ -14,7 +14,7 @@ from gsynopsis.synthetic.textures import (
     checker,
     disc,
     facing,
-    mix,
+    from_all_sides,
     mottled,
     over,
     plain,
@@ -32,14 +32,8 @@ ORBIT = 3.0
 def world(seed: int) -> RayScene:
     """A cottage garden; trees to 16 m, hills at 32, 45 and 62 orbit radii, a sky at 110."""
     surfaces = (*_horizon(seed), *_garden(seed + 20), *_trees(seed + 40))
-    sun = column((0.55, -0.45, 0.72))
-    jitter = ((0.015, 0.015), (-0.015, 0.015), (0.015, -0.015), (-0.015, -0.015))
-    lights = np.stack([unit(sun + column((x, y, 0)))[:, 0] for x, y in jitter])
-    sky, earth = decode_srgb("#a9c8ee") * 0.62, decode_srgb("#8a8a5c") * 0.35
-
-    def ambient(spot: Spot) -> Floats:
-        return mix(earth, sky, 0.5 + 0.5 * spot.normal[2])
-
+    lights = sunlight((0.55, -0.45, 0.72), 0.015)
+    ambient = from_all_sides(decode_srgb("#8a8a5c") * 0.35, decode_srgb("#a9c8ee") * 0.62)
     return RayScene(surfaces, lights, True, decode_srgb("#fff0d2") * 1.0, ambient)
 
 
@@ -48,7 +42,7 @@ def _horizon(seed: int) -> list[Surface]:
     grass = shaded(grass, waves(seed + 1, 60.0, 8.0), 0.3)
     slabs = cells(seed + 2, ("#9a938a", "#b5aea2", "#857d73"), (0.5, 0.36), FLAT, 0.02)
     slabs = shaded(slabs, waves(seed + 3, 0.5, 0.07), 0.25)
-    ground = over(grass, slabs, disc((0, 1), (0, 0), 1.95))
+    ground = over(grass, slabs, disc(1.95))
     ground = over(ground, slabs, rectangle((0, 1), (0, -6), (0.5, 6)))
     radius = ORBIT
     hills = [

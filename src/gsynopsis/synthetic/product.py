@@ -3,13 +3,13 @@
 import numpy as np
 
 from gsynopsis.synthetic.objects import ball, block, post
-from gsynopsis.synthetic.raytracer import RayScene, Spot, Surface, decode_srgb
-from gsynopsis.synthetic.shapes import Ellipsoid, Floats, column, unit
+from gsynopsis.synthetic.raytracer import RayScene, Surface, decode_srgb
+from gsynopsis.synthetic.shapes import Ellipsoid, column, unit
 from gsynopsis.synthetic.textures import (
     UPRIGHT,
     cells,
     checker,
-    mix,
+    from_all_sides,
     mottled,
     plain,
     shaded,
@@ -30,11 +30,7 @@ def world(seed: int) -> RayScene:
     backdrop = Surface(dome, plain("#d7d9dc"), glows=True)
     towards = ((0.5, -0.5, 0.8), (0.45, -0.5, 0.8), (0.5, -0.45, 0.8), (0.45, -0.45, 0.8))
     lights = np.stack([unit(column(one))[:, 0] for one in towards])
-    above, below = decode_srgb("#f4f6fa") * 0.6, decode_srgb("#d7d9dc") * 0.4
-
-    def ambient(spot: Spot) -> Floats:
-        return mix(below, above, 0.5 + 0.5 * spot.normal[2])
-
+    ambient = from_all_sides(decode_srgb("#d7d9dc") * 0.4, decode_srgb("#f4f6fa") * 0.6)
     light = decode_srgb("#fff4e0") * 0.9
     return RayScene((*_figure(seed + 20), backdrop), lights, True, light, ambient)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsynopsis.scene.camera import Camera
-from gsynopsis.synthetic.shapes import NEAR, ONE_THREAD, Floats, Shape, dot, product, unit
+from gsynopsis.synthetic.shapes import NEAR, ONE_THREAD, Floats, Shape, column, dot, product, unit
 
 RAYS_AT_ONCE = 1 << 16
 SUBPIXELS = ((0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75))
@@ -330,6 +330,12 @@ def trace(
     for row, values in zip(out, color, strict=True):
         row[hits.order] = values
     return out, distance, which
+
+
+def sunlight(towards: Sequence[float], blur: float) -> Floats:
+    """Four samples of the light of a sun, for `RayScene.lights`; `blur` softens its shadows."""
+    jitter = ((blur, blur), (-blur, blur), (blur, -blur), (-blur, -blur))
+    return np.stack([unit(column(towards) + column((x, y, 0)))[:, 0] for x, y in jitter])
 
 
 def camera_rays(camera: Camera, pixels: NDArray[np.float64]) -> tuple[Floats, Floats]:

@@ -56,7 +56,7 @@ def _walls(seed: int) -> list[Surface]:
     )
     rings = _rings(plain("#8c2f39"), plain("#e8d3b0"), 0.42)
     wool = waves(seed + 1, 0.5, 0.06)
-    floor = over(planks, shaded(rings, wool, 0.25), disc((0, 1), (0, 0), 1.75))
+    floor = over(planks, shaded(rings, wool, 0.25), disc(1.75))
     plaster = waves(seed + 2, 2.5, 0.12)
     paper = stripes(plain("#2f6f73"), plain("#6fa8a0"), (0, 1, 0), 0.42)
     bricks = cells(seed + 3, ("#a4533c", "#b86a4e", "#8d4332"), (0.42, 0.17), UPRIGHT, 0.010)

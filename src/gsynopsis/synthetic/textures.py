@@ -77,6 +77,11 @@ def mix(a: Floats, b: Floats, share: Floats) -> Floats:
     return a + (b - a) * np.clip(share, 0, 1)
 
 
+def from_all_sides(below: Floats, above: Floats) -> Paint:
+    """Light of a sky and of a ground that mirrors it, for `RayScene.ambient`."""
+    return lambda spot: mix(below, above, 0.5 + 0.5 * spot.normal[2])
+
+
 def plain(color: str) -> Paint:
     """One colour."""
     value = decode_srgb(color)
@@ -252,14 +257,11 @@ def rectangle(
     return inside
 
 
-def disc(
-    axes: tuple[int, int], center: tuple[float, float], radius: float
-) -> Callable[[Spot], Floats]:
-    """Depth inside a disc on two axes, for `over`."""
+def disc(radius: float) -> Callable[[Spot], Floats]:
+    """Depth inside a disc around the z axis, for `over`."""
 
     def inside(spot: Spot) -> Floats:
-        x = spot.position[axes[0]] - np.float32(center[0])
-        y = spot.position[axes[1]] - np.float32(center[1])
+        x, y = spot.position[:2]
         return np.float32(radius) - np.sqrt(x * x + y * y)
 
     return inside
