@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from gsynopsis.model.encoding import (
     PRIMES,
+    GridLayout,
     StraightThrough,
     coarsest_grids,
     grid_coordinates,
-    grid_corners,
     grid_features,
     grid_features_indexed,
-    grid_features_reference,
     grid_layout,
 )
 from gsynopsis.records import Frame
@@ -23,6 +23,42 @@ LAYOUT = grid_layout((5, 9, 17, 33), 8)
 
 def frame(contract: bool) -> Frame:
     return Frame(0.1, np.array([1.0, -2.0, 0.5]), 2.0, contract, 3.0)
+
+
+def grid_corners(u: Tensor, resolution: int, size: int) -> tuple[Tensor, Tensor]:
+    """Rows and trilinear weights of the 8 corners around each point.
+
+    Args:
+        u: [V, 3] in [0, 1].
+        resolution: Vertices per axis.
+        size: Rows of this grid; it is dense where resolution³ fits, else hashed.
+
+    Returns:
+        Row indices int64 [V, 8] and weights [V, 8] that sum to 1.
+    """
+    p = u * (resolution - 1)
+    cell = p.floor().clamp(0, max(resolution - 2, 0))
+    frac = p - cell
+    corner = torch.tensor([[c & 1, (c >> 1) & 1, c >> 2] for c in range(8)], device=u.device)
+    vertex = (cell.long()[:, None] + corner).clamp(max=resolution - 1)  # [V, 8, 3]
+    if resolution**3 <= size:
+        rows = vertex[..., 0] + vertex[..., 1] * resolution + vertex[..., 2] * resolution**2
+    else:
+        rows = vertex[..., 0] ^ (vertex[..., 1] * PRIMES[1]) ^ (vertex[..., 2] * PRIMES[2])
+        rows = (rows & 0xFFFFFFFF) % size
+    weights = torch.where(corner.bool(), frac[:, None], 1 - frac[:, None]).prod(dim=2)
+    return rows, weights
+
+
+def grid_features_reference(u: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
+    """Interpolated features [V, L·F], one grid after the other: the oracle."""
+    parts = []
+    for resolution, size, offset in zip(
+        layout.resolutions, layout.sizes, layout.offsets, strict=True
+    ):
+        rows, weights = grid_corners(u, resolution, size)
+        parts.append((table[rows + offset] * weights[..., None].to(table.dtype)).sum(dim=1))
+    return torch.cat(parts, dim=1) if parts else u.new_zeros(len(u), 0)
 
 
 def test_hashed_rows_are_those_of_python_integers() -> None:

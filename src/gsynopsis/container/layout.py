@@ -64,7 +64,7 @@ RESOLUTION_MIN = 2
 """Vertices per axis of a grid: there is a cell to interpolate in."""
 TINY = math.ulp(0.0)
 ANY = -math.inf
-_U16, _U32 = (1 << 16) - 1, (1 << 32) - 1
+_U32 = (1 << 32) - 1
 _I32 = 1 << 31
 _POINTERS = 1 << 53
 """Offsets and lengths stay exact in a JavaScript number."""

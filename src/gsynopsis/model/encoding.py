@@ -76,42 +76,6 @@ def grid_coordinates(positions: Tensor, frame: Frame) -> Tensor:
     return ((torch.where(norm > 1, far, y) + 2) / 4).clamp(0, 1)
 
 
-def grid_corners(u: Tensor, resolution: int, size: int) -> tuple[Tensor, Tensor]:
-    """Rows and trilinear weights of the 8 corners around each point.
-
-    Args:
-        u: [V, 3] in [0, 1].
-        resolution: Vertices per axis.
-        size: Rows of this grid; it is dense where resolution³ fits, else hashed.
-
-    Returns:
-        Row indices int64 [V, 8] and weights [V, 8] that sum to 1.
-    """
-    p = u * (resolution - 1)
-    cell = p.floor().clamp(0, max(resolution - 2, 0))
-    frac = p - cell
-    corner = torch.tensor([[c & 1, (c >> 1) & 1, c >> 2] for c in range(8)], device=u.device)
-    vertex = (cell.long()[:, None] + corner).clamp(max=resolution - 1)  # [V, 8, 3]
-    if resolution**3 <= size:
-        rows = vertex[..., 0] + vertex[..., 1] * resolution + vertex[..., 2] * resolution**2
-    else:
-        rows = vertex[..., 0] ^ (vertex[..., 1] * PRIMES[1]) ^ (vertex[..., 2] * PRIMES[2])
-        rows = (rows & 0xFFFFFFFF) % size
-    weights = torch.where(corner.bool(), frac[:, None], 1 - frac[:, None]).prod(dim=2)
-    return rows, weights
-
-
-def grid_features_reference(u: Tensor, table: Tensor, layout: GridLayout) -> Tensor:
-    """Interpolated features [V, L·F], one grid after the other: the oracle of the other two."""
-    parts = []
-    for resolution, size, offset in zip(
-        layout.resolutions, layout.sizes, layout.offsets, strict=True
-    ):
-        rows, weights = grid_corners(u, resolution, size)
-        parts.append((table[rows + offset] * weights[..., None].to(table.dtype)).sum(dim=1))
-    return torch.cat(parts, dim=1) if parts else u.new_zeros(len(u), 0)
-
-
 @lru_cache(maxsize=8)
 def _grid_constants(layout: GridLayout, device: torch.device) -> tuple[Tensor, ...]:
     """Int64: factors of a vertex's coordinates [L, 3, 1]; resolutions, rows and offsets [L, 1, 1].
@@ -126,7 +90,11 @@ def _grid_constants(layout: GridLayout, device: torch.device) -> tuple[Tensor, .
 
 
 def all_corners(u: Tensor, layout: GridLayout) -> tuple[Tensor, Tensor]:
-    """`grid_corners` of all grids at once: rows of the flat table int32, and weights; [V, L, 8]."""
+    """Rows of the flat table, int32, and trilinear weights of the corners of cells around points.
+
+    Of points [V, 3] in [0, 1] and all grids at once, [V, L, 8]. A grid is dense where all its
+    vertices have rows, else hashed.
+    """
     factors, resolutions, sizes, offsets = _grid_constants(layout, u.device)
     top = resolutions[..., 0] - 1  # [L, 1]
     p = u[:, None] * top  # [V, L, 3]
