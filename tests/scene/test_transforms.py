@@ -91,6 +91,7 @@ def test_blender_files_give_angle_names_without_extension_and_the_split(tmp_path
     assert [camera.fx, camera.fy, camera.cx, camera.cy] == pytest.approx([20, 20, 10, 5])
     assert (scene.image(0, 1) == 0).all()
     assert "split by transforms_train.json and its test file" in scene.notes
+    assert "json have no points: 10000 random ones" in " ".join(scene.notes)
 
 
 def test_a_train_file_alone_is_split_like_any_scene(write):

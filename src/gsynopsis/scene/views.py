@@ -244,7 +244,8 @@ def with_fallback_points(listing: SceneRecords, found: Path | None = None) -> Sc
     """
     if len(listing.points) or not listing.views:
         return listing
-    told = f"{listing.account.source} has no points"
+    source = listing.account.source
+    told = f"{source} {'have' if ' and ' in source else 'has'} no points"
     if found is not None and found.is_file():
         points, colors = read_ply(found)
         note = f"{told}: {len(points):,} were found in the photos by their poses"
