@@ -1,6 +1,6 @@
 """Subject of a scene of splats, and cameras that stand around all of it (ours)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,9 +138,4 @@ def camera_at(
     high = (np.abs(y) + subject.reach) * 2 * lens.fy / lens.height
     distance = float(np.quantile(np.maximum(wide, high) - z, WHOLE))
     eye = subject.middle + zoom * max(distance, subject.radius) * away
-    return _placed(lens, eye, subject.middle, up)
-
-
-def _placed(lens: Camera, eye: Float64, target: Float64, up: Float64) -> Camera:
-    w2c = look_at(eye, target, up)
-    return Camera(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, w2c)
+    return replace(lens, w2c=look_at(eye, subject.middle, up))

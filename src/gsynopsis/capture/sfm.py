@@ -102,8 +102,6 @@ def find_features(
         features: Most keypoints of a photo.
     """
     colmap = load_pycolmap()
-    options = colmap.FeatureExtractionOptions()
-    options.num_threads, options.sift.max_num_features = threads(), features
     _remove_begun_camera(colmap, database)
     done, total = 0, len(gathered.photos)
     for group, cut in _groups(gathered.photos):
@@ -119,17 +117,27 @@ def find_features(
                 reader.existing_camera_id = camera
             left = [name for name in names if name not in there]
             if left:
-                colmap.extract_features(
-                    database,
-                    photos,
-                    image_names=left,
-                    camera_mode=colmap.CameraMode.SINGLE,
-                    reader_options=reader,
-                    extraction_options=options,
-                )
+                extract_keypoints(photos, database, left, features, "SINGLE", reader)
             done += len(names)
             tick(done, total)
     _set_rig(colmap, gathered.photos, database)
+
+
+def extract_keypoints(
+    photos: Path, database: Path, names: Sequence[str], features: int, mode: str, reader: Any
+) -> None:
+    """SIFT keypoints of photos, at most so many each; `mode` says which photos share a camera."""
+    colmap = load_pycolmap()
+    options = colmap.FeatureExtractionOptions()
+    options.num_threads, options.sift.max_num_features = threads(), features
+    colmap.extract_features(
+        database,
+        photos,
+        image_names=names,
+        camera_mode=colmap.CameraMode.__members__[mode],
+        reader_options=reader,
+        extraction_options=options,
+    )
 
 
 def _remove_begun_camera(colmap: Any, database: Path) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gsynopsis.capture.matching import Pair
-from gsynopsis.capture.sfm import CHUNK, SEED, load_pycolmap, match_pairs, threads
+from gsynopsis.capture.sfm import CHUNK, SEED, extract_keypoints, load_pycolmap, match_pairs
 from gsynopsis.files import publish, write_error
 from gsynopsis.scene.camera import Camera
 from gsynopsis.scene.ply import ply_bytes
@@ -124,19 +124,11 @@ def _find_keypoints(
     photos: Path, database: Path, names: Sequence[str], features: int, told: Told
 ) -> None:
     """SIFT keypoints of every photo, at most so many; each has a camera of its own."""
-    colmap = load_pycolmap()
-    options, reader = colmap.FeatureExtractionOptions(), colmap.ImageReaderOptions()
-    options.num_threads, options.sift.max_num_features = threads(), features
+    reader = load_pycolmap().ImageReaderOptions()
     reader.camera_model = "PINHOLE"
     for start in range(0, len(names), CHUNK):
-        colmap.extract_features(
-            database,
-            photos,
-            image_names=names[start : start + CHUNK],
-            camera_mode=colmap.CameraMode.PER_IMAGE,
-            reader_options=reader,
-            extraction_options=options,
-        )
+        some = names[start : start + CHUNK]
+        extract_keypoints(photos, database, some, features, "PER_IMAGE", reader)
         told("finding keypoints", min(start + CHUNK, len(names)), len(names))
 
 

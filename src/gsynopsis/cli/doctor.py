@@ -178,13 +178,13 @@ def _threads(torch: ModuleType | None) -> Finding:
     if torch is None:
         return Finding("threads", "", advice="torch chooses how many")
     from gsynopsis._native.runtime import cpu_quota, thread_count
+    from gsynopsis.evaluation.environment import usable_cores
 
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     quota, policy = cpu_quota(), os.environ.get("OMP_WAIT_POLICY", "")
     granted = "no CPU quota" if quota is None else f"CPU quota {quota:g}"
     sleep = policy.upper() == "PASSIVE"
     idle = "sleep while idle" if sleep else f"spin while idle (OMP_WAIT_POLICY={policy or 'unset'})"
-    found = f"{thread_count()} for {cores} cores, {granted}; PyTorch's {idle}"
+    found = f"{thread_count()} for {usable_cores()} cores, {granted}; PyTorch's {idle}"
     advice = "" if "OMP_NUM_THREADS" in os.environ else "OMP_NUM_THREADS chooses another number"
     return Finding("threads", found, advice=advice)
 

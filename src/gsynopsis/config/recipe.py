@@ -1,7 +1,7 @@
 """A preset, what was asked, and what follows from the scene: resolved into one `Recipe`."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, cast
 
 from gsynopsis.config.presets import Preset, PresetName, preset_of
@@ -150,8 +150,7 @@ def _start(chosen: Preset, wanted: Mapping[str, Any]) -> Config:
     if levels is None:
         option = option_of("levels.mode")
         raise SettingError(option, found=repr(mode), expected="joint or sequential")
-    c = chosen.config
-    return Config(c.scale, c.split, c.model, c.train, levels)
+    return replace(chosen.config, levels=levels)
 
 
 def _by_sizes(start: Config, wanted: Mapping[str, Any]) -> Mapping[str, tuple[Any, str]]:

@@ -5,7 +5,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gsynopsis.cameras.orbit import circle_of_levels, default_lens, orbit
+from gsynopsis.cameras.orbit import circle_of_levels, orbit
+from gsynopsis.cameras.placement import lens_of
 from gsynopsis.evaluation.evaluate import evaluate as evaluate_levels
 from gsynopsis.evaluation.load_model import open_levels
 from gsynopsis.evaluation.metrics import LearntMeasure
@@ -110,5 +111,4 @@ def evaluate(
 
 def smooth_flight(levels: LevelSet) -> list[Camera]:
     """As many frames of a round of 48 seconds, 30 a second, as a fade needs and one more."""
-    lens = default_lens().scaled(default_lens().width / FLIGHT_WIDTH)
-    return orbit(circle_of_levels(levels), lens, 48 * 30)[: FADE_FRAMES + 1]
+    return orbit(circle_of_levels(levels), lens_of(FLIGHT_WIDTH), 48 * 30)[: FADE_FRAMES + 1]

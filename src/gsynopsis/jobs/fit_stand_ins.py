@@ -1,6 +1,6 @@
 """Coarse levels of an import: few splats that stand for many, trained on renders of the input."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from gsynopsis.records import PlainGaussians
 from gsynopsis.render.base import ANTIALIASED
 from gsynopsis.render.choose import make_renderer
 from gsynopsis.scene.camera import Camera
+from gsynopsis.teacher.renders import Tick
 
 Float64 = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -41,7 +42,7 @@ def fit_stand_ins(
     worth: Float64,
     counts: Sequence[int],
     cameras: Sequence[Camera],
-    tick: Callable[[str, int, int], None],
+    tick: Tick,
     steps: int = STEPS,
 ) -> PlainGaussians:
     """Nested levels of splats that look like all of a scene's from wherever it is seen.

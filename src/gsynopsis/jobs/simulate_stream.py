@@ -2,7 +2,8 @@
 
 from collections.abc import Mapping
 
-from gsynopsis.cameras.orbit import circle_of_frame, default_lens, orbit, parse_circle
+from gsynopsis.cameras.orbit import circle_of_frame, orbit, parse_circle
+from gsynopsis.cameras.placement import lens_of
 from gsynopsis.playback.play import Flight
 from gsynopsis.records import ORBIT_NOTE, Frame
 from gsynopsis.stream import policy
@@ -33,5 +34,4 @@ def flight_around(meta: Mapping[str, str], frame: Frame, period: float, width: i
         width: Width of the pictures, pixels.
     """
     circle = (ORBIT_NOTE in meta and parse_circle(meta[ORBIT_NOTE])) or circle_of_frame(frame)
-    lens = default_lens().scaled(default_lens().width / width)
-    return Flight(tuple(orbit(circle, lens, CAMERAS)), period)
+    return Flight(tuple(orbit(circle, lens_of(width), CAMERAS)), period)

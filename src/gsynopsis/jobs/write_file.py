@@ -5,7 +5,6 @@ before it is written: streaming policies need them, and no later command changes
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,12 +29,11 @@ from gsynopsis.jobs.manifest_notes import Up, quality_notes, training_notes
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_from_levels, model_to_levels
 from gsynopsis.records import TRAINED_NOTE, UTILITY_NOTE, LevelSet, Sensitivity
+from gsynopsis.teacher.renders import Tick
 from gsynopsis.training.state import TrainState, bring_home
 
 Box = tuple[float, float, float, float, float, float]
 """Low corner, then high corner, world units."""
-Tick = Callable[[str, int, int], None]
-"""Told what is done, how much of it, and of how much."""
 
 
 class FilePacker:

@@ -182,9 +182,7 @@ def model_to_levels(model: AnchorModel, meta: dict[str, str]) -> LevelSet:
             lattice=model.lattice[rows].cpu().numpy().astype(np.int32),
             log_scales=_array(model.log_scales[rows]),
             offsets=_array(offsets),
-            codes=_codes(model)[rows].cpu().numpy().astype(np.uint8)
-            if _has_codes(model)
-            else np.zeros(0, np.uint8),
+            codes=_codes(model, rows),
             residual=_array(model.residual[rows]),
             grids=_grids(model.table, model.layout),
             grid_resolutions=model.layout.resolutions,
@@ -238,12 +236,12 @@ def _level(part: LevelPart, mask: np.ndarray) -> Level:
     )
 
 
-def _has_codes(model: AnchorModel) -> bool:
-    return bool(model.logits.shape[1] or len(model.codes))
-
-
-def _codes(model: AnchorModel) -> Tensor:
-    return model.logits.argmax(dim=1) if model.logits.shape[1] else model.codes
+def _codes(model: AnchorModel, rows: Tensor) -> np.ndarray:
+    """Codebook rows of some anchors, uint8; none where there is no codebook."""
+    if not model.logits.shape[1] and not len(model.codes):
+        return np.zeros(0, np.uint8)
+    codes = model.logits.argmax(dim=1) if model.logits.shape[1] else model.codes
+    return codes[rows].cpu().numpy().astype(np.uint8)
 
 
 def _grids(table: Tensor, layout: GridLayout) -> tuple[np.ndarray, ...]:

@@ -1,13 +1,13 @@
 """The note in a file on how large the photos were that each level was trained on (ours).
 
 Without it a renderer cannot know how much of a Gaussian's size on the screen is its own and how
-much the blur of the pixels of training (`render.base.dilations`).
+much the blur of the pixels of training (`render.base.low_pass_filter`).
 """
 
 import json
-import math
 from collections.abc import Sequence
 
+from gsynopsis.model.view_bounds import finite_numbers
 from gsynopsis.render.base import TrainingFocals
 
 
@@ -20,17 +20,14 @@ def parse_focals(text: str | None, levels: int) -> list[TrainingFocals] | None:
     """Focal lengths of each level from a note; None without a valid note."""
     try:
         values = json.loads(text or "")
-        focals = [_checked(*pair) for pair in values]
+        focals = [_checked(pair) for pair in values]
     except (ValueError, TypeError, OverflowError, RecursionError):
         return None
     return focals[:levels] if len(focals) >= levels else None
 
 
-def _checked(low: object, high: object) -> TrainingFocals:
-    if not isinstance(low, int | float) or not isinstance(high, int | float):
-        raise TypeError
-    if isinstance(low, bool) or isinstance(high, bool):
-        raise TypeError
-    if not 0 < low <= high < math.inf:
+def _checked(pair: Sequence[object]) -> TrainingFocals:
+    low, high = finite_numbers(pair)
+    if not 0 < low <= high:
         raise ValueError
-    return float(low), float(high)
+    return low, high

@@ -77,8 +77,9 @@ def parse_view_bounds(text: str | None) -> ViewBounds | None:
     """View bounds from a note; None without a valid note."""
     try:
         values = json.loads(text or "")
-        (x, y, z), (low, high) = _numbers(values["center"]), _numbers(values["distance"])
-        (radius,) = _numbers([values["radius"]])
+        x, y, z = finite_numbers(values["center"])
+        low, high = finite_numbers(values["distance"])
+        (radius,) = finite_numbers([values["radius"]])
     except (ValueError, LookupError, TypeError, OverflowError, RecursionError):
         return None
     low, high = _single(low), _single(high)
@@ -87,7 +88,8 @@ def parse_view_bounds(text: str | None) -> ViewBounds | None:
     return ViewBounds((x, y, z), radius, low, high)
 
 
-def _numbers(values: Sequence[object]) -> list[float]:
+def finite_numbers(values: Sequence[object]) -> list[float]:
+    """Numbers of a note; a `TypeError`, `ValueError` or `OverflowError` if one is none."""
     found: list[float] = []
     for value in values:
         if isinstance(value, bool) or not isinstance(value, int | float):

@@ -151,7 +151,7 @@ def play(
     """
     moments = [step * (n + 1) for n in range(round(seconds / step))]
     looks = list(_looks(session, fetcher, flight, show, moments, tick))
-    received, wasted = fetcher.received, _wasted(session, fetcher)
+    received, wasted = fetcher.received, max(0, fetcher.received - session.useful - fetcher.kept)
     while not session.complete and session.advance(float("inf")):
         pass
     looks = [
@@ -190,11 +190,6 @@ def manifest_quality(session: Session) -> tuple[tuple[float | None, ...], str]:
         if values and all(value is not None for value in values):
             return values, session.meta.get(note, "")[:SIZE_LENGTH]
     return (None,) * len(session.quality), ""
-
-
-def _wasted(session: Session, fetcher: Fetcher) -> int:
-    """Bytes that arrived and are neither of use nor under way."""
-    return max(0, fetcher.received - session.useful - fetcher.kept)
 
 
 def _looks(

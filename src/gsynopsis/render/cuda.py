@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from gsynopsis.errors import MissingExtraError
-from gsynopsis.render.base import ALPHA_MIN, NEAR_PLANE, Gaussians, Rendering, low_pass_filter, sent
-from gsynopsis.render.reference import blurred
+from gsynopsis.render.base import NEAR_PLANE, Gaussians, Rendering, low_pass_filter, sent
+from gsynopsis.render.reference import blurred, drawable
 from gsynopsis.scene.camera import Camera
 
 
@@ -98,9 +98,7 @@ def _without_outliers(g: Gaussians) -> Gaussians:
 
     Replaced, not removed, so that nothing waits for the device.
     """
-    good = torch.isfinite(g.opacities) & (g.opacities >= ALPHA_MIN) & (g.quats.norm(dim=1) > 0)
-    for field in (g.means, g.quats, g.scales, g.colors):
-        good = good & torch.isfinite(field).all(dim=1)
+    good = drawable(g)
     rows = good[:, None]
     unit = torch.zeros_like(g.quats)
     unit[:, 0] = 1

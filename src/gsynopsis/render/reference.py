@@ -70,7 +70,9 @@ class ReferenceRenderer:
 def project(gaussians: Gaussians, camera: Camera) -> Projected:
     """EWA projection of the Gaussians that are finite and in front of the near plane."""
     w2c = torch.as_tensor(camera.w2c).to(gaussians.means)
-    index = torch.nonzero(_drawable(gaussians, w2c)).flatten()
+    with torch.no_grad():
+        in_front = gaussians.means @ w2c[2, :3] + w2c[2, 3] >= NEAR_PLANE
+    index = torch.nonzero(drawable(gaussians) & in_front).flatten()
     points = gaussians.means[index] @ w2c[:3, :3].T + w2c[:3, 3]  # [P, 3]
     depths = points[:, 2]
     ratios = points[:, :2] / depths[:, None]
@@ -119,15 +121,13 @@ def determinant(matrices: Tensor) -> Tensor:
     return matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0]
 
 
-def _drawable(gaussians: Gaussians, w2c: Tensor) -> Tensor:
+def drawable(gaussians: Gaussians) -> Tensor:
+    """Mask of the Gaussians that are finite, turned and opaque enough to be drawn, bool [G]."""
     with torch.no_grad():
-        fields = (gaussians.means, gaussians.quats, gaussians.scales, gaussians.colors)
-        finite = torch.isfinite(gaussians.opacities)
-        for field in fields:
-            finite = finite & torch.isfinite(field).all(dim=1)
-        depths = gaussians.means @ w2c[2, :3] + w2c[2, 3]
-        turned = gaussians.quats.norm(dim=1) > 0
-        return finite & turned & (depths >= NEAR_PLANE) & (gaussians.opacities >= ALPHA_MIN)
+        good = torch.isfinite(gaussians.opacities) & (gaussians.opacities >= ALPHA_MIN)
+        for field in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.colors):
+            good = good & torch.isfinite(field).all(dim=1)
+        return good & (gaussians.quats.norm(dim=1) > 0)
 
 
 def rotations(quats: Tensor) -> Tensor:

@@ -31,6 +31,7 @@ from gsynopsis.evaluation.formatting import size
 from gsynopsis.records import LevelSet
 from gsynopsis.scene.camera import Camera
 from gsynopsis.serve.page import single_page
+from gsynopsis.stream.download import is_address
 from gsynopsis.stream.local import FileSource
 from gsynopsis.stream.source import ByteSource
 
@@ -341,7 +342,7 @@ def open_source(source: Path | str) -> File:
         MissingExtraError: httpx is not installed, and it is an address.
         SourceError: the server does not give it.
     """
-    if isinstance(source, str) and source.startswith(("http://", "https://")):
+    if is_address(source):
         try:
             from gsynopsis.stream.http import HttpSource
         except ModuleNotFoundError as error:

@@ -6,6 +6,7 @@ from gsynopsis.container import check_file, cut_file, describe
 from gsynopsis.container.info import LevelInfo
 from gsynopsis.runs.folder import Run, find_run
 from gsynopsis.runs.gsyn_file import File, open_source
+from gsynopsis.stream.download import is_address
 
 
 def open_file(source: Path | str | Run) -> File:
@@ -24,9 +25,7 @@ def open_file(source: Path | str | Run) -> File:
     """
     if isinstance(source, Run):
         return source.open()
-    if isinstance(source, str) and source.startswith(("http://", "https://")):
-        return open_source(source)
-    return open_source(find_run(Path(source)).file)
+    return open_source(source if is_address(source) else find_run(Path(source)).file)
 
 
 def check(path: Path | str) -> tuple[LevelInfo, ...]:

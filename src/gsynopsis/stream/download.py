@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
+from typing import TypeGuard
 from urllib.parse import unquote, urlsplit
 
 from gsynopsis.errors import InputError, MissingExtraError, SourceError
@@ -16,7 +17,7 @@ NAME_MAX = 100
 WEB = ("http://", "https://")
 
 
-def is_address(source: object) -> bool:
+def is_address(source: object) -> TypeGuard[str]:
     """True for the address of a file on a web server."""
     return isinstance(source, str) and source.startswith(WEB)
 

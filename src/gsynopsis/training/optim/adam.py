@@ -79,15 +79,20 @@ class Optimizer:
         tensors: Any = []
         for group in moving:
             parameter = group["params"][0]
-            state = self.state[parameter]
-            if not state:
-                state["step"] = torch.zeros(())
-                state.update({moment: torch.zeros(parameter.shape) for moment in MOMENTS})
-            state["step"] += 1
+            state = self.begin_step(parameter)
             value, *moments = self._arrays(parameter, state)
             gradient = parameter.grad.view(-1).numpy()
             tensors.append((value, gradient, *moments, group["lr"], float(state["step"])))
         _core.adam(tensors, EPSILON, thread_count())
+
+    def begin_step(self, parameter: nn.Parameter) -> dict[str, Tensor]:
+        """The state of a parameter that is about to move once more; zero moments at first."""
+        state = self.state[parameter]
+        if not state:
+            state["step"] = torch.zeros(())
+            state.update({moment: torch.zeros(parameter.shape) for moment in MOMENTS})
+        state["step"] += 1
+        return state
 
     def _arrays(self, parameter: nn.Parameter, state: Mapping[str, Tensor]) -> tuple[Any, ...]:
         """A parameter and its moments as flat arrays, the same ones while they stay in place."""

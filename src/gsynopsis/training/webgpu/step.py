@@ -117,11 +117,7 @@ class WebGpuStep:
             grad = self.held.take_grad(parameter)
             if grad is None:
                 continue
-            state = optimizer.state[parameter]
-            if not state:
-                state["step"] = torch.zeros(())
-                state.update({moment: torch.zeros(parameter.shape) for moment in MOMENTS})
-            state["step"] += 1
+            state = optimizer.begin_step(parameter)
             step, count = float(state["step"]), parameter.numel()
             moved = parameter, *(state[moment] for moment in MOMENTS)
             buffers = [self.held.of(tensor, changed=True) for tensor in moved]
