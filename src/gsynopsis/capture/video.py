@@ -113,7 +113,7 @@ def take_frames(video: Path, digest: str, out: Path, most: int, tick: Tick) -> s
 
     Args:
         video: The file.
-        digest: Its digest, see `gathering.digest_of`.
+        digest: Its digest, see `photo_set.digest_of`.
         out: Folder of the photos; replaced.
         most: Frames to take, at most.
         tick: Called with the frames decoded and the approximate number of all.

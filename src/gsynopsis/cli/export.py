@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 STEPS = (0, 100_000)
 FormatName = Literal["ply", "compressed-ply", "spz", "spz3", "sog", "ssog", "glb", "usd"]
-"""As `pipeline.exporting.Format`, which needs PyTorch."""
+"""As `jobs.export.Format`, which needs PyTorch."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ class Preset(NamedTuple):
         config: With its own way of making levels.
         joint: Its joint levels.
         sequential: Its sequential levels.
-        by_scene: Settings follow the number of photos and steps, see `rules.py`.
+        by_scene: Settings follow the number of photos and steps, see `scene_rules.py`.
     """
 
     name: PresetName

@@ -54,7 +54,7 @@ def measure_utilities(
         tick: Called after each view with the views done and the views in all.
 
     Returns:
-        Utilities as `container.utility.utility_text` takes them.
+        Utilities as `utility_text` takes them.
     """
     levels = assembler.level_set()
     model = decoder_of(levels).to(renderer.device)

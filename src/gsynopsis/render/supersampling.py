@@ -20,8 +20,8 @@ def supersampling(gaussians: Gaussians, camera: Camera) -> int:
     """Factor by which an image is rendered larger before it is reduced; 1: not at all.
 
     With it the render is about as large as the training images: opacity compensation Gaussian by
-    Gaussian (`dilations`) opens surfaces that many small ones cover together, and the look of a
-    scene is known at training resolution (ours, methods.md §2.11).
+    Gaussian (`low_pass_filter`) opens surfaces that many small ones cover together, and the look of
+    a scene is known at training resolution (ours, methods.md §2.11).
     """
     if gaussians.focals is None or gaussians.focals[0] >= ANTIALIASED[0]:
         return 1  # nothing is known of training, or it was with fading

@@ -48,7 +48,7 @@ class Phase(Protocol):
         ...
 
     def step(self, state: TrainState) -> None:
-        """One step; `state.cursor.step` is the number of steps done before it."""
+        """One step; `state.progress.step` is the number of steps done before it."""
         ...
 
     def end(self, state: TrainState) -> None:
