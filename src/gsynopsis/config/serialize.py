@@ -13,7 +13,7 @@ from typing import Any, cast, get_args, get_type_hints
 
 import msgspec
 
-from gsynopsis.config.settings import LEVELS, Config, Joint, ModelConfig, Sequential
+from gsynopsis.config.settings import LEVELS, Config, Joint, Sequential
 from gsynopsis.errors import SettingError
 
 Values = dict[str, Any]
@@ -219,11 +219,8 @@ def _check_together(config: Config) -> None:
         ordered = levels.level_mib
         fits = all(a < b for a, b in pairwise(ordered)) and len(ordered) == levels.count
         _expect("levels.level_mib", list(ordered), fits, f"{levels.count} rising sizes above 0")
-    _expect("model.residual", 0, _has_features(model), "1 or more, as grids and codebook are 0")
-
-
-def _has_features(model: ModelConfig) -> bool:
-    return model.feature == "free" or model.grids + model.codebook + model.residual > 0
+    some = model.feature == "free" or model.grids + model.codebook + model.residual > 0
+    _expect("model.residual", 0, some, "1 or more, as grids and codebook are 0")
 
 
 def _expect(name: str, found: object, holds: bool, expected: str) -> None:

@@ -41,10 +41,10 @@ class Grid:
     line: int = 22
 
 
-def error_image(image: Image8, truth: Image8, gain: float = ERROR_GAIN) -> Image8:
+def error_image(image: Image8, truth: Image8) -> Image8:
     """The absolute error, largest of the three channels, amplified and coloured by RAMP."""
     difference = np.abs(image.astype(np.int16) - truth.astype(np.int16)).max(axis=2)
-    position = np.clip(difference * (gain / 255.0), 0.0, 1.0)
+    position = np.clip(difference * (ERROR_GAIN / 255.0), 0.0, 1.0)
     return ramp_colors(position)
 
 

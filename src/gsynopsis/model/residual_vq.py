@@ -24,7 +24,7 @@ CHUNK = 1 << 16
 
 
 def learn_stages(
-    vectors: Float32, weights: NDArray[np.floating], count: int, entries: int, seed: int = 0
+    vectors: Float32, weights: NDArray[np.floating], count: int, entries: int
 ) -> list[Float32]:
     """Codebooks [entries, H] of `count` stages, each for the residual of the stages before.
 
@@ -33,9 +33,8 @@ def learn_stages(
         weights: >= 0 [N]; if all are 0 they count alike.
         count: Stages.
         entries: Rows of each codebook, at most 256; the first is 0.
-        seed: Of the first rows, and of the sample.
     """
-    chance = np.random.default_rng(seed)
+    chance = np.random.default_rng(0)
     weights = np.asarray(weights, np.float64)
     share = weights / weights.sum() if weights.any() else np.full(len(weights), 1 / len(weights))
     if len(vectors) > SAMPLE:

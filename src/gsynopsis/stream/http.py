@@ -151,8 +151,10 @@ class HttpSource:
         stamp = _stamp_of(response)
         with self._lock:
             known = self._stamp.size
-            # Nothing is asked for behind the end of a known file, unless it has become shorter.
-            shrunk = status == 416 and known and _end_of(response) != f"bytes */{known}"
+            # Nothing is asked for behind the end of a known file, unless it has become shorter; a
+            # refusal's Content-Range names the length.
+            end = response.headers.get("content-range", "")
+            shrunk = status == 416 and known and end != f"bytes */{known}"
             if self._stamp.differs(stamp) or shrunk:
                 raise ChangedError(
                     self.name,
@@ -248,11 +250,6 @@ def _pieces(response: httpx.Response, wanted: int, name: str) -> Iterator[bytes]
         raise translated(name, error) from error
     if got < wanted:
         raise broken_off(name, got, wanted)
-
-
-def _end_of(response: httpx.Response) -> str:
-    """The Content-Range of a refusal, which names the file's length."""
-    return response.headers.get("content-range", "")
 
 
 def _coding_of(response: httpx.Response) -> str:

@@ -127,6 +127,7 @@ def _table(seed: int) -> list[Surface]:
     vase = stripes(plain("#f4a261"), plain("#264653"), (0.3, 0, 1), 0.12)
     egg = mottled(("#5b2a86", "#9f6bc1", "#f1e3ff"), waves(seed + 2, 0.25, 0.05), 1.3)
     gold = shaded(plain("#d8a03a"), waves(seed + 3, 0.3, 0.1), 0.12)
+    lemon = mottled(("#c98a00", "#f2c500", "#fbe36a"), waves(seed + 5, 0.15, 0.04), 0.9)
     top = 0.74
     return [
         post((0, 0, 0.68), 0.8, 0.06, oak, gloss=0.15),
@@ -137,12 +138,8 @@ def _table(seed: int) -> list[Surface]:
         post((0.38, -0.36, top), 0.12, 0.36, vase, gloss=0.3),
         ball((0.3, 0.5, top + 0.16), (0.13, 0.13, 0.16), egg, gloss=0.4),
         ball((-0.12, -0.52, top + 0.09), (0.09, 0.09, 0.09), plain("#d1343a"), gloss=0.7),
-        ball((-0.4, 0.42, top + 0.11), (0.18, 0.12, 0.11), _lemon(seed + 5), gloss=0.25),
+        ball((-0.4, 0.42, top + 0.11), (0.18, 0.12, 0.11), lemon, gloss=0.25),
     ]
-
-
-def _lemon(seed: int) -> Paint:
-    return mottled(("#c98a00", "#f2c500", "#fbe36a"), waves(seed, 0.15, 0.04), 0.9)
 
 
 def _furniture(seed: int) -> list[Surface]:

@@ -142,10 +142,10 @@ class Gpu:
         """Queue zeros for a whole buffer."""
         self._queued.append(("clear", buffer))
 
-    def copy(self, source: Buffer, target: Buffer, words: int, to: int = 0) -> None:
-        """Queue a copy of a buffer's first words, to a place in another."""
+    def copy(self, source: Buffer, target: Buffer, words: int) -> None:
+        """Queue a copy of a buffer's first words to those of another."""
         if words:
-            self._queued.append(("copy", source, target, 4 * words, 4 * to))
+            self._queued.append(("copy", source, target, 4 * words))
 
     def run(self, name: str, count: int, buffers: Sequence[Buffer], /, **values: float) -> None:
         """Queue a kernel for `count` invocations in workgroups of `LANES`."""
@@ -197,8 +197,8 @@ class Gpu:
             if kind == "clear":
                 encoder.clear_buffer(rest[0])
             else:
-                source, target, size, to = rest
-                encoder.copy_buffer_to_buffer(source, 0, target, to, size)
+                source, target, size = rest
+                encoder.copy_buffer_to_buffer(source, 0, target, 0, size)
         if open_pass is not None:
             open_pass.end()
         self._device.queue.submit([encoder.finish()])

@@ -50,10 +50,10 @@ class Optimizer:
             for name, parameter in parameters.items()
         ]
 
-    def set_progress(self, progress: float, factor: float = 1.0) -> None:
-        """Set every rate for progress in [0, 1] of the schedule, times `factor`."""
+    def set_progress(self, progress: float) -> None:
+        """Set every rate for progress in [0, 1] of the schedule."""
         for group in self.groups:
-            group["lr"] = log_linear(*self.rates[group["name"]], progress) * factor
+            group["lr"] = log_linear(*self.rates[group["name"]], progress)
 
     def step(self) -> None:
         """Move every parameter that has a gradient; then drop the gradients."""
