@@ -42,15 +42,16 @@ SHORTEST = 0.5
 FEW_INIT_SCALE = 2.0
 """`opacity_init_scale` of few views."""
 FEW_DROPOUT = 0.3
-"""`dropout` of few views of three quarters of `MANY_POINTS` or more; half of them have to grow."""
+"""`dropout` of few views."""
 FEW_GROWTH = 0.15
-"""Share of the full training's steps after which their growth ends."""
+"""Share of the full training's steps after which their growth ends, of three quarters of
+`MANY_POINTS` or more; half of them have to grow."""
 FEW_VIEW_START, FEW_VIEW_EXPONENT = 1.3, 3
 """Exponents of the blend from few-view values back to the preset's: it begins slowly, so that one
 photo more than `FEW_VIEWS` changes a little, and is nearly over at twice as many."""
 MANY_POINTS = 3_840
 """Sparse points of a scene from which on settings are the preset's."""
-BY_POINTS = ("model.hidden", "train.growth.cell", "train.dropout", "train.growth.until")
+BY_POINTS = ("model.hidden", "train.growth.cell", "train.growth.until")
 """Settings that follow them."""
 NARROWEST, MULTIPLE = 16, 8
 """Hidden units of the heads at least, and what their number is a multiple of (lanes of a CPU)."""
@@ -138,18 +139,17 @@ def adapt(usual: Config, facts: Facts) -> Mapping[str, Any]:
     """
     model, growth, many = usual.model, usual.train.growth, facts.many
     growth_ratio = facts.growth_ratio**many
-    sparse = (1 - many**FEW_VIEW_START) ** FEW_VIEW_EXPONENT * min(
-        1.0, max(0.0, 4 * facts.point_ratio - 2)
-    )
+    scarce = (1 - many**FEW_VIEW_START) ** FEW_VIEW_EXPONENT
+    grown = scarce * min(1.0, max(0.0, 4 * facts.point_ratio - 2))
     cell = max(GrowthConfig.cell, growth.cell * max(FINEST_CELL, facts.point_ratio))
     found: dict[str, Any] = {
         "model.slots": round(ModelConfig.slots + many * (model.slots - ModelConfig.slots)),
         "model.opacity_init_scale": FEW_INIT_SCALE
         + many * (model.opacity_init_scale - FEW_INIT_SCALE),
         "model.hidden": _head_width(model.hidden, facts.point_ratio),
-        "train.dropout": usual.train.dropout + sparse * (FEW_DROPOUT - usual.train.dropout),
+        "train.dropout": usual.train.dropout + scarce * (FEW_DROPOUT - usual.train.dropout),
         "train.growth.cell": round(_between(GrowthConfig.cell, cell, many)),
-        "train.growth.until": _between(FEW_GROWTH, growth.until, 1 - sparse),
+        "train.growth.until": _between(FEW_GROWTH, growth.until, 1 - grown),
         "train.growth.threshold": _between(
             GrowthConfig.threshold, growth.threshold * facts.growth_ratio, many
         ),
