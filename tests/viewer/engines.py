@@ -26,17 +26,12 @@ PAGE = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,">
 <script type="module" src="{engine}.js"></script>"""
 
 
-def build(engine: str, folder: Path, worker: Path) -> Path:
-    """A folder with a page of an engine: the engine, our object for it, and the worker's script.
-
-    The script is built into the folder `worker`, once for all engines.
-    """
+def build(engine: str, folder: Path) -> Path:
+    """A folder with a page of an engine: the engine, our object for it, and the worker's script."""
     site = folder / engine
-    for mode, out in ((engine, site), ("worker", worker)):
-        if not out.is_dir():
-            keep = ("--emptyOutDir", "false", "--logLevel", "warn")
-            npx("vite", "build", "--mode", mode, "--outDir", str(out), *keep)
-    shutil.copytree(worker, site, dirs_exist_ok=True)
+    for mode in (engine, "worker"):
+        keep = ("--emptyOutDir", "false", "--logLevel", "warn")
+        npx("vite", "build", "--mode", mode, "--outDir", str(site), *keep)
     for path in (*MODULES[engine], *(HERE / "pages").iterdir()):
         # Hosts know the type of `.js`, not that of `.mjs`.
         shutil.copy(path, site / path.with_suffix(".js").name)

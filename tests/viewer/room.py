@@ -57,7 +57,9 @@ def write_room(folder: Path) -> Path:
     text = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{header}end_header\n"
     path.write_bytes(text.encode() + rows.astype("<f4").tobytes())
     with pytest.MonkeyPatch.context() as patch:
-        # Nobody looks at which views of it are best.
+        # Nobody looks at which views of it are best, nor at figures and their pictures.
         patch.setattr("gsynopsis.cameras.found.TRIED", 40)
         patch.setattr("gsynopsis.cameras.found.AGAIN", ())
-        return import_splats(path, folder / "room.gsyn", up=(0.0, -1.0, 0.0), draft=True).path
+        patch.setattr("gsynopsis.jobs.import_splats.VIEWS_SIDE", 120)
+        patch.setattr("gsynopsis.jobs.splat_views.SHEET_SIDE", 96)
+        return import_splats(path, folder / "room.gsyn", up=(0.0, -1.0, 0.0), steps=0).path

@@ -83,7 +83,7 @@ def test_what_is_out_of_sight_makes_room_and_comes_back(shape: Shape, tmp_path: 
     small = round(SHARE * splats)
     found, watched = {}, {}
     for budget in (small, 2 * splats):
-        # All is there already where all has room; else slow frames leave blocks the time to come.
+        # All is there already where all has room, and how it comes is not looked at.
         wait, init = (QUIET, "") if budget == small else ("", UNSEEN)
         steps: list[dict[str, Any]] = [
             {"wait": "complete"},

@@ -121,7 +121,7 @@ def test_what_cannot_be_shown_is_said_in_a_sentence(small: Path, tmp_path: Path)
         steps.append({"name": name, "script": opened(name, "viewer-error")})
     steps.append({"name": "after", "script": opened("scene.gsyn", "base-ready")})
     with pages(tmp_path) as address:
-        found = visit(f"{address}/?noui&content=scene.gsyn", tmp_path, steps, init=UNSEEN)
+        found = visit(f"{address}/?noui&content=scene.gsyn", tmp_path, steps)
     for name, (_, words) in bad.items():
         assert words in found.results[name] and found.results[name], name
     assert len(found.times("error")) == len(bad)
@@ -179,7 +179,7 @@ def test_mouse_keyboard_and_touch_move_the_camera(small: Path, tmp_path: Path) -
         {"name": "facts", "script": FACTS},
     ]
     with pages(small) as address:
-        found = visit(f"{address}/?noui", tmp_path, steps, init=UNSEEN).results
+        found = visit(f"{address}/?noui", tmp_path, steps).results
     assert found["orbited"]["forward"] != found["start"]["forward"]
     assert found["orbited"]["distance"] == pytest.approx(found["start"]["distance"])
     assert found["panned"]["forward"] == found["orbited"]["forward"]

@@ -8,7 +8,6 @@ import pytest
 
 from benchmarks.viewer.browser import MISSING, screenshot, visit
 from tests.viewer.element_site import site
-from tests.viewer.unseen import UNSEEN
 
 CASES = Path(__file__).parents[3] / "shared" / "cases" / "splats" / "viewer_pages"
 pytestmark = [
@@ -53,7 +52,7 @@ def test_all_of_twenty_scenes_show_a_picture(bright: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("name", ["open_first", "strict"])
-def test_the_scene_is_shown(name: str, small: Path, tmp_path: Path) -> None:
+def test_the_scene_is_shown(name: str, bright: Path, tmp_path: Path) -> None:
     """Opened before it is in the page, and under a policy that allows no workers of blobs."""
     ended = "whole.size === 1 || told.some(Boolean)"
     steps: list[dict[str, Any]] = [
@@ -62,7 +61,7 @@ def test_the_scene_is_shown(name: str, small: Path, tmp_path: Path) -> None:
         {"name": "told", "script": "told.filter(Boolean)"},
         {"name": "drawn", "script": "viewer().scene?.drawn ?? 0"},
     ]
-    with site(tmp_path, small, page(name)) as address:
-        found = visit(address, tmp_path, steps, (600, 400), init=HEAR + UNSEEN).results
+    with site(tmp_path, bright, page(name)) as address:
+        found = visit(address, tmp_path, steps, (600, 400), init=HEAR).results
     assert found["drawn"] > 0 or "worker-src" in " ".join(found["told"])
     assert name == "strict" or not found["told"]

@@ -9,7 +9,6 @@ import pytest
 from benchmarks.viewer.browser import MISSING, pages, pinhole, pixels, psnr, screenshot, visit
 from gsynopsis.container import decode
 from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
-from tests.viewer.unseen import UNSEEN
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -90,7 +89,7 @@ def test_a_small_device_shows_the_finest_level_that_fits(bright: Path, tmp_path:
         {"name": "picture", "script": f"picture({pinhole(camera)}, null)"},
     ]
     with pages(bright) as address:
-        found = visit(f"{address}/?noui", tmp_path, steps, init=small + UNSEEN)
+        found = visit(f"{address}/?noui", tmp_path, steps, init=small)
     assert "not enough graphics memory" in found.results["note"]
     assert "level 1 of 3" in found.results["note"]
     assert found.results["most"] == "2", "levels 0 and 1, and auto"
@@ -136,7 +135,7 @@ def test_without_memory_for_refinement_the_base_stays(bright: Path, tmp_path: Pa
         {"name": "picture", "script": f"picture({pinhole(camera)}, 0)"},
     ]
     with pages(bright) as address:
-        found = visit(f"{address}/?noui", tmp_path, steps, init=small + UNSEEN)
+        found = visit(f"{address}/?noui", tmp_path, steps, init=small)
     assert "not enough memory" in found.results["note"]
     expected = drawn_by_cpu(levels, camera)[0]
     assert psnr(pixels(found.results["picture"]), expected) >= LEAST_DB

@@ -37,10 +37,9 @@ def files(
     folder = tmp_path_factory.mktemp("splats")
     (folder / "scenes").mkdir()
     found: dict[str, Path] = {}
-    for kind, name in (("ply-z", "a tree.ply"), ("spz2", "leaves.spz")):
+    for kind, name in (("ply", "a tree.ply"), ("spz2", "leaves.spz")):
         if kind == "spz2":
-            # The first one is imported by a process too, which knows of no fixture; it says itself
-            # what is up, which takes long to find.
+            # The first one is imported by a process too, which knows of no fixture.
             request.getfixturevalue("few_tries")
         path = write_tree(folder / kind, kind).rename(folder / name)
         import_splats(path, folder / "scenes" / f"{path.stem}.gsyn", draft=True)

@@ -18,7 +18,6 @@ from gsynopsis.container import decode
 from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.run import serving
-from tests.viewer.unseen import UNSEEN
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -48,7 +47,7 @@ def site(folder: Path, scene: Path) -> Generator[str]:
 
 def tour(scene: Path, folder: Path, steps: list[dict[str, Any]]) -> Visit:
     with site(folder, scene) as address:
-        return visit(address, folder, [*READY, *steps], (640, 480), init=UNSEEN)
+        return visit(address, folder, [*READY, *steps], (640, 480))
 
 
 NOTED = """
@@ -107,7 +106,7 @@ def wheels_and_keys() -> list[dict[str, Any]]:
 def test_wheel_and_keys_are_left_to_the_page_around_it(small: Path, tmp_path: Path) -> None:
     steps = wheels_and_keys()
     with site(tmp_path, small) as address:
-        found = visit(address, tmp_path, steps, (640, 480), init=NOTED + UNSEEN).results
+        found = visit(address, tmp_path, steps, (640, 480), init=NOTED).results
     pose = found["start"]
     assert found["wheels"] == [False, True, False, True], (
         "the page's, ours after a click, asked for"
@@ -150,7 +149,7 @@ def test_events_bubble_and_trouble_is_no_error_of_the_page(small: Path, tmp_path
     )
     steps = [*READY, {"name": "detail", "script": script}, {"name": "heard", "script": "heard"}]
     with site(tmp_path, small) as address:
-        found = visit(address, tmp_path, steps, (640, 480), init=HEAR + UNSEEN).results
+        found = visit(address, tmp_path, steps, (640, 480), init=HEAR).results
     assert found["detail"]["message"] and found["detail"]["trouble"]
     heard = found["heard"]
     for name in ("header", "complete", "viewer-error"):
@@ -193,7 +192,7 @@ def test_attributes_are_honoured_when_they_change(small: Path, tmp_path: Path) -
         "if (options?.method === 'HEAD') heads++; return usual(address, options); };"
     )
     with site(tmp_path, small) as address:
-        found = visit(address, tmp_path, [*READY, *steps], (640, 480), init=heads + UNSEEN).results
+        found = visit(address, tmp_path, [*READY, *steps], (640, 480), init=heads).results
     pose = found["start"][2]
     assert found["start"][:2] == [3, "4"]
     assert found["small"] == [3, "4", pose], "the camera stays"

@@ -8,7 +8,6 @@ import pytest
 
 from benchmarks.viewer.browser import MISSING, screenshot, visit
 from tests.viewer.element_site import site
-from tests.viewer.unseen import UNSEEN
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -87,7 +86,7 @@ def test_a_page_that_forbids_inline_styles_has_all_of_it(small: Path, tmp_path: 
     bar = "getComputedStyle(viewer().shadowRoot.querySelector('.bar')).display"
     steps = [{"wait": "complete"}, TOOLS, {"name": "bar", "script": bar}]
     with site(tmp_path, small, STRICT) as address:
-        found = visit(address, tmp_path, steps, (640, 480), init=UNSEEN)
+        found = visit(address, tmp_path, steps, (640, 480))
     assert found.results["bar"] == "flex"
     assert not [line for line in found.said if "Content Security Policy" in line]
 
@@ -103,7 +102,7 @@ def test_it_is_sharp_after_a_change_of_the_device_pixel_ratio(small: Path, tmp_p
     sized = "<style>gsynopsis-viewer { width: 400px; height: 300px }</style>"
     page = f'{sized}{MODULE}<gsynopsis-viewer src="scene.gsyn"></gsynopsis-viewer>'
     with site(tmp_path, small, page) as address:
-        found = visit(address, tmp_path, [*steps, SETTLED], (640, 480), init=RATIO + UNSEEN)
+        found = visit(address, tmp_path, [*steps, SETTLED], (640, 480), init=RATIO)
     assert not found.times("error")
 
 

@@ -77,23 +77,16 @@ def moved_step(camera: Camera) -> dict[str, Any]:
     return drawn("moved", replace(camera, w2c=w2c), place=where)
 
 
-@pytest.fixture(scope="module")
-def worker(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the worker's script is built."""
-    return tmp_path_factory.mktemp("worker") / "built"
-
-
 @pytest.fixture(scope="module", params=sorted(MODULES))
 def tour(
     request: pytest.FixtureRequest,
     bright: Path,
     camera: Camera,
-    worker: Path,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Visit:
     """A scene in an engine's page: while it comes, whole, beside meshes; then files of no scene."""
     folder = tmp_path_factory.mktemp("tour")
-    site = build(request.param, folder, worker)
+    site = build(request.param, folder)
     (site / "bad.gsyn").write_bytes(b"PK" + bright.read_bytes()[2:])
     boxes = cubes(bright, camera)
     app = Watched(bright, held=parse_index(bright.read_bytes(), "scene").levels[0].end)

@@ -9,7 +9,6 @@ from benchmarks.viewer.browser import MISSING, pinhole, pixels, psnr, visit
 from gsynopsis.container import decode
 from gsynopsis.runs import gsyn_file as files
 from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
-from tests.viewer.unseen import UNSEEN
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -29,7 +28,7 @@ def test_the_frame_shows_the_finest_level_that_fits(
         page = tmp_path / "notebook.html"
         page.write_text(f"<!doctype html><body>{file._repr_html_()}</body>", "utf-8")
     look = {"name": "picture", "script": f"{INSIDE}.picture({pinhole(camera)}, null)"}
-    found = visit(page.as_uri(), tmp_path, [{"until": WHOLE}, look], init=UNSEEN)
+    found = visit(page.as_uri(), tmp_path, [{"until": WHOLE}, look])
     assert psnr(pixels(found.results["picture"]), drawn_by_cpu(levels, camera)[level]) >= LEAST_DB
     assert not [line for line in found.said if line.startswith("pageerror")]
 

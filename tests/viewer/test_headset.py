@@ -20,7 +20,6 @@ from gsynopsis.scene.camera import Camera
 from gsynopsis.serve.page import single_page
 from tests.viewer.bright import LEAST_DB
 from tests.viewer.room import FLOOR
-from tests.viewer.unseen import UNSEEN
 
 EMULATOR = SOURCES / "node_modules" / "iwer" / "build" / "iwer.min.js"
 pytestmark = pytest.mark.skipif(
@@ -160,7 +159,7 @@ def test_without_a_headset_there_is_no_button(small: Path, tmp_path: Path) -> No
         {"name": "told", "script": NOTE},
     ]
     with pages(small) as address:
-        found = visit(address, tmp_path, steps, SIZE, init=UNSEEN)
+        found = visit(address, tmp_path, steps, SIZE)
     assert found.results["hidden"] is True and found.results["worn"] is None
     assert found.results["told"] == "" and not found.times("error")
 
@@ -278,8 +277,7 @@ def test_the_stick_walks_over_the_ground(room: Path, tmp_path: Path) -> None:
         {"name": "still", "script": STATE},
     ]
     with pages(room) as address:
-        init = emulated() + UNSEEN
-        found = visit(f"{address}/?free", tmp_path, steps, SIZE, init=init).results
+        found = visit(f"{address}/?free", tmp_path, steps, SIZE, init=emulated()).results
     begin, end = found["begin"], found["end"]
     assert begin["tall"] == pytest.approx(1.0, abs=0.05)
     assert begin["position"] == pytest.approx(start["position"], abs=0.01)

@@ -14,7 +14,6 @@ from gsynopsis.serve.files import Root
 from gsynopsis.serve.page import FOLDER
 from gsynopsis.serve.run import serving
 from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
-from tests.viewer.unseen import UNSEEN
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -175,8 +174,7 @@ def test_the_page_tells_how_the_training_goes(small: Path, tmp_path: Path) -> No
         {"name": "hidden", "script": f"{panel}.hidden"},
     ]
     with serving(Telling(tmp_path, small.read_bytes())) as address:
-        url = f"{address}/?content={NAME}&live=0.2"
-        found = visit(url, tmp_path, steps, sizes[0], init=UNSEEN).results
+        found = visit(f"{address}/?content={NAME}&live=0.2", tmp_path, steps, sizes[0]).results
     size = f"{small.stat().st_size / 2**20:.2f} MiB"
     for words in ("full", "3 min left", "1,210 of 6,000", "0.0412", "27.31 dB", "1,180", size):
         assert words in found["text"], words

@@ -64,7 +64,7 @@ def test_the_first_bytes_are_asked_for_before_the_script_is_there(
         await watched(scope, receive, send)
 
     with serving(patient) as address:
-        found = visit(f"{address}/{query}", tmp_path, [{"wait": "complete"}], init=UNSEEN)
+        found = visit(f"{address}/{query}", tmp_path, [{"wait": "complete"}])
     assert early and all(early), "the script came by the deadline alone"
     assert read_once(watched.spans, blocks.stat().st_size), sorted(watched.spans)
     assert [event["level"] for event in found.times("level-ready")] == [0, 1, 2, 3]
@@ -109,7 +109,7 @@ def test_each_byte_is_read_once(query: str, blocks: Path, tmp_path: Path) -> Non
         {"name": "_", "script": "viewer().scene.settled().then(() => 0)"},
     ]
     with serving(watched) as address:
-        found = visit(f"{address}/?noui{query}", tmp_path, steps, init=UNSEEN)
+        found = visit(f"{address}/?noui{query}", tmp_path, steps)
     size = blocks.stat().st_size
     assert read_once(watched.spans, size), sorted(watched.spans)
     assert found.times("complete")[0]["bytes"] == size
@@ -146,7 +146,7 @@ def test_each_byte_of_a_base_longer_than_the_first_request_is_read_once(tmp_path
     assert base > 1.5 * FIRST_BYTES
     watched = Watched(file)
     with serving(watched) as address:
-        visit(f"{address}/?noui", tmp_path, [{"wait": "complete"}], init=UNSEEN)
+        visit(f"{address}/?noui", tmp_path, [{"wait": "complete"}])
     assert read_once(watched.spans, len(data)), sorted(watched.spans)
 
 
@@ -179,7 +179,7 @@ def test_each_byte_of_each_version_is_read_once_while_a_file_is_followed(
 
     watched.app = replaced
     with serving(watched) as address:
-        visit(f"{address}/?noui&content=live.gsyn&live=0.2", tmp_path, steps, init=UNSEEN)
+        visit(f"{address}/?noui&content=live.gsyn&live=0.2", tmp_path, steps)
     assert read_once(watched.spans, blocks.stat().st_size)
 
 
@@ -218,7 +218,7 @@ def test_what_comes_damaged_is_asked_for_again(blocks: Path, tmp_path: Path) -> 
     camera = camera_of(levels)
     steps = [{"wait": "complete"}, {"name": "finest", "script": f"picture({pinhole(camera)}, 3)"}]
     with serving(watched) as address:
-        found = visit(f"{address}/?noui", tmp_path, steps, init=UNSEEN)
+        found = visit(f"{address}/?noui", tmp_path, steps)
     assert not found.times("error")
     assert psnr(pixels(found.results["finest"]), drawn_by_cpu(levels, camera)[3]) >= LEAST_DB
     again = sum(stop - start for start, stop in watched.spans) - len(data)
@@ -273,8 +273,7 @@ def test_a_file_that_was_cut_is_the_levels_that_it_holds(blocks: Path, tmp_path:
         )
         steps.append({"name": name, "script": f"viewer().open('{name}.gsyn'), {wait}"})
     with pages(tmp_path) as address:
-        url = f"{address}/?noui&content=three.gsyn"
-        found = visit(url, tmp_path, steps, init=UNSEEN).results
+        found = visit(f"{address}/?noui&content=three.gsyn", tmp_path, steps).results
     pictures = drawn_by_cpu(levels, camera)
     assert psnr(pixels(found["three"]), pictures[2]) >= LEAST_DB
     assert psnr(pixels(found["one"]), pictures[0]) >= LEAST_DB
@@ -289,6 +288,6 @@ def test_a_page_with_a_scene_that_was_cut_shows_what_it_holds(blocks: Path, tmp_
     page = tmp_path / "cut.html"
     page.write_text(single_page("cut.gsyn", data[: len(data) // 2]), encoding="utf-8")
     steps: list[dict[str, Any]] = [{"wait": "complete"}, {"name": "says", "script": SAID}]
-    found = visit(page.as_uri(), tmp_path, steps, init=UNSEEN)
+    found = visit(page.as_uri(), tmp_path, steps)
     assert [event["level"] for event in found.times("level-ready")] == [0, 1]
     assert "was cut" in found.results["says"] and not found.times("error")

@@ -17,7 +17,6 @@ from gsynopsis.serve.app import make_app
 from gsynopsis.serve.files import root_of
 from gsynopsis.serve.run import serving
 from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
-from tests.viewer.unseen import UNSEEN
 
 NPM = shutil.which("npm")
 pytestmark = pytest.mark.skipif(
@@ -140,7 +139,7 @@ def test_an_app_built_with_it_shows_the_scene(package: Path, bright: Path, tmp_p
     look = {"name": "picture", "script": f"picture({pinhole(camera)}, 3)"}
     steps = [{"wait": "complete"}, look, {"name": "title", "script": "document.title"}]
     with serving(make_app(root_of(built), viewer=built)) as address:
-        found = visit(address, tmp_path, steps, init=UNSEEN)
+        found = visit(address, tmp_path, steps)
     assert found.results["title"] == "level 3"
     assert psnr(pixels(found.results["picture"]), drawn_by_cpu(levels, camera)[3]) >= LEAST_DB
     assert not [line for line in found.said if line.startswith("pageerror")]

@@ -84,7 +84,7 @@ def test_pictures_of_several_workers_are_those_of_one(
 def test_a_small_scene_starts_no_further_worker(bright: Path, tmp_path: Path) -> None:
     steps = [{"wait": "complete"}, {"name": "n", "script": "viewer().scene.memory.workers"}]
     with pages(bright) as address:
-        found = visit(f"{address}/?noui", tmp_path, steps, init=cores(16) + UNSEEN)
+        found = visit(f"{address}/?noui", tmp_path, steps, init=cores(16))
     assert found.results["n"] == 1
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from benchmarks.viewer.browser import MISSING, pages, visit
-from tests.viewer.unseen import UNSEEN
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -44,7 +43,7 @@ def test_a_gallery_leads_to_a_scene_that_runs_under_its_policy(small: Path, tmp_
         {"name": "refused", "script": "violations"},
     ]
     with pages(tmp_path) as address:
-        seen = visit(address, tmp_path, steps, (1280, 720), init=INJECTED + UNSEEN)
+        seen = visit(address, tmp_path, steps, (1280, 720), init=INJECTED)
     found = seen.results
     assert found["names"] == ["a#b?c%20d", "plain"]
     assert found["before"] == found["violations"] == []

@@ -12,7 +12,6 @@ from benchmarks.viewer.browser import MISSING, SIZE, pages, pinhole, pixels, psn
 from gsynopsis.container import decode
 from tests.viewer.bright import LEAST_DB, camera_of, drawn_by_cpu
 from tests.viewer.resting import at_pace
-from tests.viewer.unseen import UNSEEN
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -57,7 +56,7 @@ def test_the_split_view_shows_two_levels_side_by_side(bright: Path, tmp_path: Pa
         {"name": "given back", "script": HELD},
     ]
     with pages(bright) as address:
-        found = visit(f"{address}/?noui&level=3&split=0", tmp_path, steps, init=UNSEEN).results
+        found = visit(f"{address}/?noui&level=3&split=0", tmp_path, steps).results
     pictures = drawn_by_cpu(levels, camera)
     assert found["role"] == "separator"
     for name, share in (
@@ -98,7 +97,7 @@ def test_the_split_view_is_chosen_by_button_and_slider(bright: Path, tmp_path: P
         {"name": "picture", "script": f"picture({pinhole(camera)}, null)"},
     ]
     with pages(bright) as address:
-        found = visit(address, tmp_path, steps, init=UNSEEN).results
+        found = visit(address, tmp_path, steps).results
     assert found["off"] == ["false", False]
     assert found["on"] == ["true", True]
     assert found["default"] == ["L0", "auto"]
@@ -156,8 +155,7 @@ def test_looks_of_levels_fade_into_each_other(bright: Path, tmp_path: Path) -> N
         {"name": "after", "script": HELD},
     ]
     with pages(bright) as address:
-        init = AT_TIMES + UNSEEN
-        found = visit(f"{address}/?noui&level=3", tmp_path, steps, init=init).results
+        found = visit(f"{address}/?noui&level=3", tmp_path, steps, init=AT_TIMES).results
     coarse, *_, fine = drawn_by_cpu(levels, camera)
     down = [pixels(picture) for picture in found["down"]]
     assert psnr(down[0], fine) >= LEAST_DB

@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 from benchmarks.viewer.browser import MISSING, pages, visit
-from tests.viewer.unseen import UNSEEN
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -63,7 +62,7 @@ def test_the_bar_is_one_row_in_a_view_of_any_size(small: Path, tmp_path: Path) -
             {"name": "_", "script": "viewer().removeAttribute('split')"},
         ]
     with pages(small) as address:
-        found = visit(address, tmp_path, steps, init=UNSEEN).results
+        found = visit(address, tmp_path, steps).results
     for size in SIZES:
         plain, opened = found[f"{size} plain"], found[f"{size} open"]
         check_one_row(plain, size)
@@ -92,7 +91,7 @@ def test_keys_work_at_once_and_after_every_button(small: Path, tmp_path: Path) -
     steps += [{"press": "Escape"}, {"name": "closed", "script": f"[{HELP}, {FOCUS}]"}]
     with pages(small) as address:
         # Wide enough for all buttons in a row, and low: keys are held while frames are drawn.
-        found = visit(address, tmp_path, steps, (800, 300), init=UNSEEN).results
+        found = visit(address, tmp_path, steps, (800, 300)).results
     for k in range(len(buttons) + 1):
         assert found[f"before {k}"] != found[f"after {k}"], f"a key did nothing after button {k}"
     assert found["help"] == [True, "Close"]
@@ -119,7 +118,7 @@ def test_the_keyboard_alone_reaches_menu_and_help(small: Path, tmp_path: Path) -
         {"name": "open", "script": f"{ROOT}.querySelector('.more').classList.contains('open')"},
     ]
     with pages(small) as address:
-        found = visit(address, tmp_path, steps, (390, 844), init=UNSEEN).results
+        found = visit(address, tmp_path, steps, (390, 844)).results
     assert found["menu"] == ["More", "2px"]
     assert found["last"] == "Keys and gestures"
     assert found["help"] == [True, "Close"]
@@ -137,8 +136,7 @@ def test_words_stand_out_from_their_panels(small: Path, tmp_path: Path) -> None:
     steps += [{"name": "_", "script": "viewer().setAttribute('theme', 'dark')"}]
     steps += [{"name": "dark", "script": colours}]
     with pages(small) as address:
-        context = {"colorScheme": "light"}
-        found = visit(address, tmp_path, steps, init=UNSEEN, context=context).results
+        found = visit(address, tmp_path, steps, context={"colorScheme": "light"}).results
     for theme in ("light", "dark"):
         ink, (*panel, opacity) = found[theme]
         for behind in (0, 255):

@@ -25,7 +25,6 @@ from gsynopsis.records import SEEN_NOTE as SEEN
 from gsynopsis.scene.camera import Camera, look_at
 from tests.viewer.bright import bright_levels
 from tests.viewer.node import needs_node, run_node
-from tests.viewer.unseen import UNSEEN
 
 UP = np.array([0.0, -1.0, 0.0])
 CIRCLE = Circle(np.array([0.1, -0.2, 0.3]), UP, np.array([0.0, 0.0, -1.0]), 2.0, 0.4)
@@ -75,7 +74,7 @@ def test_the_first_view_and_home_are_a_photo_s_pose_and_steps_stay_on_the_arc(
         steps += [{"press": "BracketRight"}, {"name": f"{k}", "script": pose}]
     steps += [{"press": "KeyF"}, {"press": "Home"}, {**pinhole, "name": "home"}]
     with pages(file) as address:
-        found = visit(f"{address}/?noui", tmp_path, steps, init=UNSEEN).results
+        found = visit(f"{address}/?noui", tmp_path, steps).results
     assert found["home"] == found["first"]
     assert np.allclose(np.reshape(found["first"]["w2c"], (3, 4)), w2c[:3], atol=1e-5)
     # The page is as wide as the photo: 240 × 160 against 300 × 200 pixels.
@@ -163,7 +162,7 @@ def test_colours_hold_24_notches_out_and_the_camera_stays_where_the_scene_does(
             "True.gsyn": [*out, *more],
         }.items():
             url = f"{address}/?noui&content={case}"
-            found[case] = visit(url, tmp_path, steps, init=UNSEEN).results
+            found[case] = visit(url, tmp_path, steps).results
     changes = {
         case: float(np.abs(hue(seen["far"]) - hue(seen["near"])).max())
         for case, seen in found.items()

@@ -16,7 +16,6 @@ from gsynopsis.serve.page import FOLDER
 from gsynopsis.serve.run import serving
 from tests.viewer.element_site import site
 from tests.viewer.room import FLOOR, PILLAR
-from tests.viewer.unseen import UNSEEN
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -55,8 +54,7 @@ def test_the_hint_goes_with_the_first_touch_and_the_bar_fades(
         {"name": "title", "script": f"{ROOT}.querySelector('[aria-keyshortcuts=Home]').ariaLabel"},
     ]
     with pages(small) as address:
-        context = {"locale": "fr-CA"}
-        found = visit(address, tmp_path, steps, (600, 338), init=UNSEEN, context=context).results
+        found = visit(address, tmp_path, steps, (600, 338), context={"locale": "fr-CA"}).results
     assert found["width"] <= 200, "at most a third of an embed"
     assert found["still"] and not found["after"]
     assert found["title"] == "Première vue"
@@ -91,7 +89,7 @@ def test_meta_walks_nowhere_a_pinch_is_quick_and_a_drag_leaves_no_frame(
         {"name": "near", "script": far},
     ]
     with pages(small) as address:
-        found = visit(f"{address}/?noui&free", tmp_path, steps, init=UNSEEN).results
+        found = visit(f"{address}/?noui&free", tmp_path, steps).results
     assert (found["frame"], found["dragged"]) == ('""', "none")
     assert found["meta"] == found["start"]
     assert found["halted"] is False, "the key is let go, of which systems do not tell then"
@@ -116,7 +114,7 @@ def test_looks_zooms_and_f_know_what_is_solid(room: Path, tmp_path: Path) -> Non
         {"name": "whole", "script": "viewer().camera"},
     ]  # fmt: skip
     with pages(room) as address:
-        found = visit(f"{address}/?noui", tmp_path, steps, (240, 160), init=UNSEEN).results
+        found = visit(f"{address}/?noui", tmp_path, steps, (240, 160)).results
     assert found["pillar"] == pytest.approx([0, 0.2, PILLAR[0]], abs=0.05)
     assert found["zoomed"]["position"][2] < 1.0, "its own pivot is before the pillar"
     assert 1.0 < found["far"]["position"][2] < PILLAR[0], "the pivot is behind, the wall holds"
@@ -167,7 +165,7 @@ def test_notes_are_shown_toured_made_and_saved(room: Path, tmp_path: Path) -> No
     ]
     app = make_app(root_of(file), viewer=FOLDER, edit=True)
     with serving(app) as address:
-        found = visit(address, tmp_path, steps, (240, 160), init=UNSEEN).results
+        found = visit(address, tmp_path, steps, (240, 160)).results
     assert found["place"] == pytest.approx([120, 80], abs=12)
     assert "A <b>wall" in found["first"] and "1 / 2" in found["first"]
     assert "Pillar" in found["second"][0] and found["second"][1] == pytest.approx([0, 0, -1.0])

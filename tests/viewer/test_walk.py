@@ -10,7 +10,6 @@ import pytest
 from benchmarks.viewer.browser import MISSING, pages, visit
 from gsynopsis.container import annotated
 from tests.viewer.room import FLOOR, HALF, PILLAR
-from tests.viewer.unseen import UNSEEN
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -69,7 +68,7 @@ def test_a_walk_goes_around_what_is_solid_and_keeps_its_height(room: Path, tmp_p
         {"name": "ended", "script": f"[{WALKS}, viewer().scene.camera.onFoot]"},
     ]
     with pages(room) as address:
-        found = visit(f"{address}/?free", tmp_path, steps, (240, 160), init=LOG + UNSEEN).results
+        found = visit(f"{address}/?free", tmp_path, steps, (240, 160), init=LOG).results
     assert found["pressed"] == "true"
     assert PILLAR[0] - 0.5 < found["halted"][2] < PILLAR[0] - 0.1, "the pillar is before it"
     way = np.array(found["way"])
@@ -95,7 +94,7 @@ def test_nobody_walks_where_there_is_no_ground(room: Path, tmp_path: Path) -> No
         {"name": "told", "script": f"{ROOT}.querySelector('.note').innerText"},
     ]
     with pages(room) as address:
-        found = visit(f"{address}/?free", tmp_path, steps, (240, 160), init=UNSEEN).results
+        found = visit(f"{address}/?free", tmp_path, steps, (240, 160)).results
     assert found["walks"] == "false" and "no ground" in found["told"]
 
 
@@ -133,7 +132,7 @@ def test_notes_behind_something_fade(room: Path, tmp_path: Path) -> None:
         {"until": f"{dots}.every((dot) => dot.classList.contains('behind'))"},
     ]
     with pages(file) as address:
-        found = visit(f"{address}/?free", tmp_path, steps, (240, 160), init=UNSEEN).results
+        found = visit(f"{address}/?free", tmp_path, steps, (240, 160)).results
     assert found["front"] == ["1", "0.25"]
     assert found["aside"] == ["1", "1"]
     assert found["back"][0] == "1", "seen from behind, a thin pillar hides no note on it"
@@ -158,8 +157,7 @@ def test_a_phone_shows_as_much_along_its_longer_side_whichever_way_it_is_held(
     with pages(small) as address:
         for touch in (False, True):
             context = {"hasTouch": touch, "isMobile": touch}
-            visited = visit(address, tmp_path, steps, sizes[0], init=UNSEEN, context=context)
-            found[touch] = visited.results
+            found[touch] = visit(address, tmp_path, steps, sizes[0], context=context).results
     for size in sizes:
         ratio = max(size) / min(size)
         assert np.tan(found[True][str(size)] / 2) * ratio == pytest.approx(SIDE, rel=1e-2)

@@ -16,7 +16,6 @@ from gsynopsis.serve.page import single_page
 from tests.viewer.bright import LEAST_DB, bright_levels, camera_of, drawn_by_cpu
 from tests.viewer.resting import at_pace
 from tests.viewer.test_bounded import ANCHORED, QUIET, SHARE, look, wide
-from tests.viewer.unseen import UNSEEN
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -77,9 +76,7 @@ globalThis.resting = async () => {
 """
 
 
-def both(
-    file: Path, folder: Path, query: str, steps: list[dict[str, Any]], init: str = LOOKS
-) -> list[dict[str, Any]]:
+def both(file: Path, folder: Path, query: str, steps: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Results of a visit by WebGL 2 and of one by WebGPU, without a word of either."""
     steps = [{"wait": "complete"}, {"until": "viewer().tools !== null"}, *steps]
     steps.append({"name": "api", "script": API})
@@ -87,7 +84,7 @@ def both(
     with pages(file) as address:
         for renderer, context in (("", {}), ("&renderer=webgpu", WEBGPU)):
             url = f"{address}/?noui{query}{renderer}"
-            seen = visit(url, folder, steps, init=init, context=context)
+            seen = visit(url, folder, steps, init=LOOKS, context=context)
             assert not seen.times("error")
             found.append(seen.results)
             if renderer:
@@ -101,7 +98,7 @@ def test_every_level_looks_as_by_webgl(bright: Path, tmp_path: Path) -> None:
     camera = camera_of(levels)
     shots = [{"name": f"L{k}", "script": f"picture({pinhole(camera)}, {k})"} for k in range(4)]
     again = {"name": "again", "script": f"picture({pinhole(camera)}, 0)"}
-    webgl, webgpu = both(bright, tmp_path, "", [*shots, again], LOOKS + UNSEEN)
+    webgl, webgpu = both(bright, tmp_path, "", [*shots, again])
     for k, expected in enumerate(drawn_by_cpu(levels, camera)):
         ours = pixels(webgpu[f"L{k}"])
         assert psnr(ours, pixels(webgl[f"L{k}"])) >= ALIKE_DB, k

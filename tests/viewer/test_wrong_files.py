@@ -10,7 +10,6 @@ from benchmarks.viewer.browser import MISSING, pages, visit
 from gsynopsis.container import annotated
 from gsynopsis.serve.page import FOLDER, single_page
 from tests.viewer.plain_hosts import plain_host
-from tests.viewer.unseen import UNSEEN
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
@@ -53,8 +52,7 @@ def test_a_wrong_file_keeps_the_scene_and_is_named(bright: Path, tmp_path: Path)
         {"name": "note", "script": NOTE},
     ]
     with pages(tmp_path) as address:
-        url = f"{address}/?noui&content=scene.gsyn"
-        found = visit(url, tmp_path, steps, init=UNSEEN).results
+        found = visit(f"{address}/?noui&content=scene.gsyn", tmp_path, steps).results
     for name in ("ply", "spz", "sog", "splat"):
         note, trouble, drawn = found[name]
         assert f"`gsynopsis import room.{name}`" in note and drawn
