@@ -105,7 +105,7 @@ def painters(
     meta = {name: text for name, text in opened.levels.meta.items() if name != FOCALS_NOTE}
     silent = replace(opened.levels, meta=meta)
     told = LevelRenderer(opened.decoder, opened.renderer)
-    faded = Faded(opened.decoder, opened.renderer, torch.zeros(3))
+    faded = Faded(opened.decoder, opened.renderer)
     untold = LevelRenderer(model_from_levels(silent), opened.renderer)
     scene = load_scene(data / run.split("-")[0], "every8")
     assert record.scale is not None

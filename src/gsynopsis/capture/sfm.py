@@ -117,16 +117,17 @@ def find_features(
                 reader.existing_camera_id = camera
             left = [name for name in names if name not in there]
             if left:
-                extract_keypoints(photos, database, left, features, "SINGLE", reader)
+                mode = colmap.CameraMode.SINGLE
+                extract_keypoints(photos, database, left, features, mode, reader)
             done += len(names)
             tick(done, total)
     _set_rig(colmap, gathered.photos, database)
 
 
 def extract_keypoints(
-    photos: Path, database: Path, names: Sequence[str], features: int, mode: str, reader: Any
+    photos: Path, database: Path, names: Sequence[str], features: int, mode: Any, reader: Any
 ) -> None:
-    """SIFT keypoints of photos, at most so many each; `mode` says which photos share a camera."""
+    """SIFT keypoints of photos, at most so many each; a `CameraMode` says who shares a camera."""
     colmap = load_pycolmap()
     options = colmap.FeatureExtractionOptions()
     options.num_threads, options.sift.max_num_features = threads(), features
@@ -134,7 +135,7 @@ def extract_keypoints(
         database,
         photos,
         image_names=names,
-        camera_mode=colmap.CameraMode.__members__[mode],
+        camera_mode=mode,
         reader_options=reader,
         extraction_options=options,
     )

@@ -124,11 +124,12 @@ def _find_keypoints(
     photos: Path, database: Path, names: Sequence[str], features: int, told: Told
 ) -> None:
     """SIFT keypoints of every photo, at most so many; each has a camera of its own."""
-    reader = load_pycolmap().ImageReaderOptions()
+    colmap = load_pycolmap()
+    mode, reader = colmap.CameraMode.PER_IMAGE, colmap.ImageReaderOptions()
     reader.camera_model = "PINHOLE"
     for start in range(0, len(names), CHUNK):
         some = names[start : start + CHUNK]
-        extract_keypoints(photos, database, some, features, "PER_IMAGE", reader)
+        extract_keypoints(photos, database, some, features, mode, reader)
         told("finding keypoints", min(start + CHUNK, len(names)), len(names))
 
 

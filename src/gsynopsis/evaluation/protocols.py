@@ -68,9 +68,9 @@ class LevelRenderer:
         self, decoder: Decoder, renderer: Renderer, background: Tensor | None = None
     ) -> None:
         """All tensors on the renderer's device; background is [3], None black."""
-        black = torch.zeros(3, device=renderer.device)
-        self.decoder, self.renderer = decoder, renderer
-        self.background = black if background is None else background
+        if background is None:
+            background = torch.zeros(3, device=renderer.device)
+        self.decoder, self.renderer, self.background = decoder, renderer, background
 
     def paint(self, camera: Camera, level: int) -> Image8:
         """The image as a saved PNG would hold it."""

@@ -120,7 +120,8 @@ def read_ply(path: Path) -> SplatFile:
         kind = "compressed PLY" if packed else "PLY"
         antialiased = _antialiased(header.comments)
         notes = (*notes, *more)
-        file = SplatFile((gaussians,), antialiased, up, kind, 0, notes, said, shift)
+        levels = (gaussians,)
+        file = SplatFile(levels, antialiased, up, kind, notes=notes, up_said=said, shift=shift)
         return cleaned(file, path)
 
 
