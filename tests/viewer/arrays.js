@@ -9,6 +9,11 @@ export async function arraysOf(viewer, data, eyes, kernelName) {
   for (const name of ["lattice", "logScales", "codes", "residual", "slot", "owner", "offsets"]) {
     found.set(name, tables[name]);
   }
+  // A splat is its own slot, of which tables say nothing.
+  if (!tables.owner.length) {
+    found.set("owner", Int32Array.from(tables.brought.keys()));
+    found.set("slot", new Uint8Array(tables.brought.length));
+  }
   assembler.grids.forEach((grid, part) => found.set(`grid ${part}`, grid));
   assembler.codebooks.forEach((book, level) => found.set(`codebook ${level}`, book));
   assembler.networks.forEach((networks, level) => {
@@ -21,7 +26,7 @@ export async function arraysOf(viewer, data, eyes, kernelName) {
       decoder.list(level, eye);
       found.set(`rows ${level} ${e}`, Uint32Array.from(decoder.rows));
       found.set(`values ${level} ${e}`, Float32Array.from(decoder.numbers));
-      found.set(`words ${level} ${e}`, decoder.words.slice());
+      for (const { first, words } of decoder.takeRuns()) found.set(`words ${level} ${e} ${first}`, words);
     }
   }
   found.set("centers", decoder.centers(0, index.levels[assembler.levelsReady - 1]?.live ?? 0));

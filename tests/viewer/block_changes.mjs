@@ -15,20 +15,24 @@ for (const chunk of assembler.index.chunks) {
   if (chunk.kind !== 6) await assembler.add(chunk, data.subarray(chunk.offset, chunk.offset + chunk.stored));
 }
 const look = new LevelView(new ListingDecoder(assembler, new PlainKernel()), assembler, assembler.index.levels.length - 1);
+const present = new Uint32Array(8 * assembler.index.levels.at(-1).live);
+const put = (into, runs) => { for (const { first, words } of runs) into.set(words, 8 * first); };
 await look.decode(EYE, pause);
 for (const [level, blocks] of assembler.directories.entries()) {
   for (const [number, { offset, stored }] of blocks.entries()) {
     await assembler.addBlock(level, number, data.subarray(offset, offset + stored));
     look.addBlock(assembler.directories[level][number]);
-    await look.decode(EYE, pause);
+    put(present, (await look.decode(EYE, pause)).pieces);
   }
 }
 const { decoder } = look;
 const decoded = decoder.rows.length;
 const whole = new ListingDecoder(assembler, new PlainKernel());
 whole.list(look.cap, EYE.position);
+const expected = new Uint32Array(present.length);
+put(expected, whole.takeRuns());
 const shown = (words, at) => (words[at - (at % 8) + 7] >>> 16 ? words[at] : 0);
-const wrong = whole.words.filter((_, at) => shown(whole.words, at) !== shown(decoder.words, at)).length;
+const wrong = expected.filter((_, at) => shown(expected, at) !== shown(present, at)).length;
 const waits = [];
 const pieces = [];
 for (const [eye, exact] of [[EYE, false], [EYE, true], [FAR, true]]) {

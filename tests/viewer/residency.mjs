@@ -25,18 +25,27 @@ async function add(assembler, level, number) {
   await assembler.addBlock(level, number, data.subarray(offset, offset + stored));
 }
 
+/** What a page has of a look after all that was decoded, 8 words a slot. */
+const pages = new Map();
+
+async function decode(look) {
+  const { pieces } = await look.decode(EYE, () => Promise.resolve());
+  if (!pages.has(look)) pages.set(look, new Uint32Array(8 * whole.index.levels.at(-1).live + 8192));
+  for (const { first, words } of pieces) pages.get(look).set(words, 8 * first);
+}
+
 /** What is drawn of an assembler: centre and attributes of each splat, without their order. */
 async function drawn(assembler, look, cap) {
   const decoder = look.decoder;
   look.cap = cap;
   look.refreshAll();
-  await look.decode(EYE, () => Promise.resolve());
-  const count = assembler.tables.slot.length;
+  await decode(look);
+  const count = assembler.tables.brought.length;
   const centers = decoder.centers(0, count);
   const limit = assembler.room < Infinity ? count : assembler.index.levels[cap].live;
   const found = [];
   for (let row = 0; row < limit; row++) {
-    const words = decoder.words.subarray(8 * row, 8 * row + 8);
+    const words = pages.get(look).subarray(8 * row, 8 * row + 8);
     if (words[7] >>> 16) found.push(`${centers.subarray(3 * row, 3 * row + 3)} ${words}`);
   }
   return found.sort();
@@ -65,7 +74,7 @@ for (let turn = 0; turn < 6; turn++) {
     await add(small, level, block);
     look.addBlock(small.directories[level][block]);
     // What is stale is decoded now and then, not all at once.
-    if (changes % 3 === 0) await look.decode(EYE, () => Promise.resolve());
+    if (changes % 3 === 0) await decode(look);
   }
   const twin = await opened(Infinity);
   for (let level = 1; level <= last; level++) for (const number of small.held[level]) await add(twin, level, number);

@@ -26,13 +26,21 @@ const NO_EYE: Vector = [0, 0, 0];
 
 export type Vector = readonly [number, number, number];
 
+/** Packed attributes of slots from `first` on, see `packSlot`; 0 where nothing is drawn. */
+export interface WordRun {
+  readonly first: number;
+  readonly words: Uint32Array;
+}
+
 /** The Gaussians of an assembler's tables for one eye point. */
 export class Decoder {
-  /** Packed attributes of every live slot, see `packSlot`; 0 where nothing is drawn. */
-  words = new Uint32Array(0);
-  /** Pages changed since `takePages`. */
-  private dirty = new Set<number>();
+  /** Attributes of every slot of anchors. */
+  private words = new Uint32Array(0);
   private floats = new Float32Array(0);
+  /** Pages of anchors' slots changed since `takeRuns`. */
+  private dirty = new Set<number>();
+  /** Splats decoded since then: only the page keeps their attributes. */
+  private runs: WordRun[] = [];
   /** Features of anchors, and the levels they are of. */
   private readonly pieces = new Map<number, { values: Float32Array; levels: Uint8Array }>();
   private readonly batch: BatchBuffers;
@@ -83,23 +91,29 @@ export class Decoder {
    */
   *refresh(cap: number, eye: Vector, ranges?: readonly (readonly [number, number])[]): Generator<void, void, void> {
     const { tables, index, room } = this.assembler;
-    this.reserve(tables.slot.length);
-    this.seen = this.splats ? null : viewBoundsOf(this.assembler.manifest);
+    const { splats, batch } = this;
+    this.seen = splats ? null : viewBoundsOf(this.assembler.manifest);
     this.eye = this.known(eye);
     const finest = Math.min(cap, this.finestShared);
     if (finest < 0) return;
-    const batch = this.batch;
     batch.clear(0);
+    if (!splats) this.reserve(tables.brought.length);
     const n = Math.min(room < Infinity ? room : index.levels[finest].anchors, tables.region.length);
     for (const [first, count] of ranges ?? [[0, n]]) {
-      for (let anchor = first; anchor < Math.min(n, first + count); anchor++) {
-        const region = tables.region[anchor];
-        if (region === NOWHERE) continue;
-        const level = Math.min(region, finest);
-        if (this.splats) {
-          if (tables.brought[anchor] > finest || this.splats.isReplaced(anchor, level)) this.clear(anchor, 1);
-          else this.decodeSplat(this.splats, anchor, level);
-          if (anchor % BATCH === 0) yield;
+      const end = Math.max(first, Math.min(n, first + count));
+      const words = new Uint32Array(splats ? (end - first) * WORDS : 0);
+      const floats = new Float32Array(words.buffer);
+      if (words.length) this.runs.push({ first, words });
+      for (let anchor = first; anchor < end; anchor++) {
+        if (splats && anchor % BATCH === 0) yield;
+        // Tables that have grown meanwhile are others.
+        const { brought, region } = this.assembler.tables;
+        if (region[anchor] === NOWHERE) continue;
+        const level = Math.min(region[anchor], finest);
+        if (splats) {
+          if (brought[anchor] > finest || splats.isReplaced(anchor, level)) continue;
+          splats.decode(anchor, level, this.eye, this.values);
+          this.put(anchor, this.values, 0, floats, words, (anchor - first) * WORDS);
           continue;
         }
         if (batch.count === BATCH || (batch.count && level !== batch.level)) {
@@ -119,8 +133,9 @@ export class Decoder {
     return this.splats?.changesAt(ranges.length - 1) === false ? ranges.slice(-1) : ranges;
   }
 
-  /** Draw nothing in these slots. */
+  /** Draw nothing in these slots; splats that are gone are left out when they are decoded again. */
   clear(first: number, count: number): void {
+    if (this.splats) return;
     for (let row = first; row < first + count; row++) {
       this.dirty.add((row / SLOTS_PER_MESSAGE) | 0);
       this.words[row * WORDS + 7] = 0;
@@ -133,15 +148,17 @@ export class Decoder {
     return this.seen ? clampToBounds(this.seen, eye as Vec) : eye;
   }
 
-  /** Pages changed since the last call, as runs [first, count] of pages. */
-  takePages(): [number, number][] {
-    const sorted = [...this.dirty].sort((a, b) => a - b);
+  /** Runs of slots that changed since the last call, of anchors' slots in whole pages. */
+  takeRuns(): WordRun[] {
+    const { runs, dirty, words } = this;
+    const pages = [...dirty].sort((a, b) => a - b);
     this.dirty = new Set();
-    const runs: [number, number][] = [];
-    for (const page of sorted) {
-      const last = runs[runs.length - 1];
-      if (runs.length && last[0] + last[1] === page) last[1]++;
-      else runs.push([page, 1]);
+    this.runs = [];
+    for (let i = 0, from = 0; i < pages.length; i++) {
+      if (pages[i + 1] === pages[i] + 1) continue;
+      const first = pages[from] * SLOTS_PER_MESSAGE;
+      runs.push({ first, words: words.slice(first * WORDS, (pages[i] + 1) * SLOTS_PER_MESSAGE * WORDS) });
+      from = i + 1;
     }
     return runs;
   }
@@ -151,9 +168,8 @@ export class Decoder {
     const { tables } = this.assembler;
     const { voxel } = this.assembler.index.header;
     const out = new Float32Array(3 * count);
-    const owner = this.ownersOf(first, count);
     for (let i = 0; i < count; i++) {
-      const anchor = owner[i];
+      const anchor = this.splats ? first + i : tables.owner[first + i];
       if (anchor < 0) continue;
       for (let a = 0; a < 3; a++) {
         const base = this.splats ? 0 : Math.fround(Math.exp(tables.logScales[6 * anchor + a]));
@@ -162,11 +178,6 @@ export class Decoder {
       }
     }
     return out;
-  }
-
-  private ownersOf(first: number, count: number): Int32Array {
-    const { owner } = this.assembler.tables;
-    return owner.subarray(first, first + count);
   }
 
   private reserve(rows: number): void {
@@ -217,20 +228,16 @@ export class Decoder {
     for (let i = 0, at = 0; i < slots.count; i++, at += SLOT_VALUES) {
       const owner = 3 * slots.owners[i];
       for (let a = 0; a < 3; a++) result[at + 1 + a] *= base[owner + a];
-      this.put(batch.rows[i], result, at);
+      const row = batch.rows[i];
+      this.clear(row, 1);
+      this.put(row, result, at, this.floats, this.words, row * WORDS);
     }
     batch.count = 0;
   }
 
-  private decodeSplat(splats: SplatDecoder, row: number, level: number): void {
-    splats.decode(row, level, this.eye, this.values);
-    this.put(row, this.values, 0);
-  }
-
-  /** Attributes of a slot from its opacity, scales, quaternion and colour. */
-  protected put(row: number, values: Float32Array, at: number): void {
-    this.clear(row, 1);
-    if (values[at] >= ALPHA_MIN) packSlot(values[at], values, at + 1, this.floats, this.words, row * WORDS);
+  /** Attributes of a slot, from its opacity, scales, quaternion and colour, to a place where there are none. */
+  protected put(_row: number, values: Float32Array, at: number, floats: Float32Array, words: Uint32Array, to: number): void {
+    if (values[at] >= ALPHA_MIN) packSlot(values[at], values, at + 1, floats, words, to);
   }
 
   /** Features of the batch's anchors into `hidden`, from what is kept or computed and then kept. */

@@ -30,8 +30,8 @@ export class ListingDecoder extends Decoder {
     while (!steps.next().done);
   }
 
-  protected override put(row: number, values: Float32Array, at: number): void {
-    super.put(row, values, at);
+  protected override put(row: number, values: Float32Array, at: number, floats: Float32Array, words: Uint32Array, to: number): void {
+    super.put(row, values, at, floats, words, to);
     if (values[at] < ALPHA_MIN) return;
     this.rows.push(row);
     this.numbers.push(...values.subarray(at, at + 11));
@@ -47,7 +47,7 @@ export function gaussiansOf(assembler: Assembler, kernel: Kernel, level: number,
   const decoder = new ListingDecoder(assembler, kernel);
   decoder.list(level, eye);
   const { rows, numbers } = decoder;
-  const centers = decoder.centers(0, assembler.tables.slot.length);
+  const centers = decoder.centers(0, assembler.tables.brought.length);
   const columns = (first: number, count: number) =>
     Float32Array.from({ length: rows.length * count }, (_, i) => numbers[11 * Math.floor(i / count) + first + (i % count)]);
   return {

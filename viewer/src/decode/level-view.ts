@@ -5,7 +5,7 @@ import type { Decoder } from "./anchor-decoder";
 import type { BlockRecord } from "../format/directory";
 import type { Attributes } from "./messages";
 import type { ViewPose } from "../base/view-pose";
-import { SLOTS_PER_MESSAGE, WORDS } from "./pack-attributes";
+import { WORDS } from "./pack-attributes";
 
 /** Milliseconds of decoding between looks at the messages. */
 const SLICE = 12;
@@ -91,11 +91,10 @@ export class LevelView {
     const refined = stale !== "all" && stale.some(({ rows }) => rows.length > 1);
     const fade = this.finest >= 0 && (refined || finest !== this.finest);
     this.finest = finest;
-    const pieces = decoder.takePages().map(([page, pages]): Attributes => {
-      const words = decoder.words.slice(page * SLOTS_PER_MESSAGE * WORDS, (page + pages) * SLOTS_PER_MESSAGE * WORDS);
-      const drawn = new Uint8Array(pages * SLOTS_PER_MESSAGE);
-      for (let i = 0; i < drawn.length; i++) drawn[i] = words[i * WORDS + 7] >>> 16 ? 1 : 0;
-      return { first: page * SLOTS_PER_MESSAGE, words, drawn };
+    const pieces = decoder.takeRuns().map(({ first, words }): Attributes => {
+      const drawn = new Uint8Array(words.length / WORDS);
+      for (let i = 0; i < drawn.length; i++) drawn[i] = Number(words[i * WORDS + 7] > 0xffff);
+      return { first, words, drawn };
     });
     return { pieces, limit, fade };
   }

@@ -198,7 +198,7 @@ export class DecodeSession {
   }
 
   /** Send the centres of slots, of all by default. */
-  private sendCenters(first = 0, count = this.assembler?.tables.slot.length): void {
+  private sendCenters(first = 0, count = this.assembler?.tables.brought.length): void {
     const decoder = this.looks[0]?.decoder;
     if (!decoder || !count) return;
     const centers = decoder.centers(first, count);

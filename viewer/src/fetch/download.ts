@@ -11,8 +11,6 @@ export type TakePiece = (piece: Piece, bytes: Uint8Array, following: Piece[]) =>
 
 const SAMPLES_MAX = 200;
 const SAMPLE_SECONDS = 0.1;
-/** Share of what was waited for that counts once more has come. */
-const FADES = 0.9;
 /** Times that a piece with a wrong checksum is requested again. */
 const REPAIRS = 3;
 
@@ -27,11 +25,13 @@ export class Download {
   bytes = 0;
   /** Throughput of the last seconds, oldest first. */
   samples: readonly Sample[] = [];
+  /**
+   * Bytes per second of the last request by the browser's clock, which does not wait for this thread to look; 0 where a
+   * server of another origin hides them.
+   */
+  lineRate = 0;
   readonly reader: RangeReader;
   private window = { amount: 0, since: 0 };
-  /** Bytes that came, and milliseconds in which nothing was done but wait for them; old ones fade. */
-  private came = 0;
-  private waited = 1;
 
   constructor(
     private readonly source: ByteSource,
@@ -42,11 +42,11 @@ export class Download {
       received: (amount) => { this.count(amount); },
       notice: (text) => { events.notice(text); },
     }, signal);
-  }
-
-  /** Bytes per second of the line, where `samples` tell what is fetched and used; 0 before any came. */
-  get lineRate(): number {
-    return (1000 * this.came) / this.waited;
+    new PerformanceObserver((list) => {
+      for (const { encodedBodySize, duration } of list.getEntries() as PerformanceResourceTiming[]) {
+        this.lineRate = (1000 * encodedBodySize) / duration;
+      }
+    }).observe({ type: "resource" });
   }
 
   /** Fetch pieces that stand one after the other, and hand out each as soon as it is there. */
@@ -65,16 +65,12 @@ export class Download {
     };
     this.window = { amount: 0, since: performance.now() / 1000 };
     await takeWhole();
-    let since = performance.now();
     for await (const received of this.reader.read(at, pieces[pieces.length - 1].stop)) {
-      this.came = FADES * this.came + received.length;
-      this.waited = FADES * this.waited + performance.now() - since;
       const joined = new Uint8Array(rest.length + received.length);
       joined.set(rest);
       joined.set(received, rest.length);
       rest = joined;
       await takeWhole();
-      since = performance.now();
     }
     if (todo.length) {
       throw new ViewerError("TruncatedError", `${this.source.name}: the file ends after ${at + rest.length} bytes; load it again.`);

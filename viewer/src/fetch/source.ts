@@ -162,7 +162,7 @@ export class HttpSource implements ByteSource {
       give.abort();
       answer = await this.ask(null, new AbortController().signal);
     }
-    const parts: Uint8Array[] = [];
+    const parts: BlobPart[] = [];
     let length = 0;
     for await (const piece of bodyOf(answer.response, answer.give, this.name)) {
       length += piece.length;
@@ -170,16 +170,10 @@ export class HttpSource implements ByteSource {
         answer.give.abort();
         throw new ViewerError("SourceError", `${this.name}: the server has no ranges and the file is too large to be read whole.`);
       }
-      parts.push(piece);
-    }
-    const whole = new Uint8Array(length);
-    let at = 0;
-    for (const part of parts) {
-      whole.set(part, at);
-      at += part.length;
+      parts.push(piece as Uint8Array<ArrayBuffer>);
     }
     this.size = length;
-    return whole;
+    return new Uint8Array(await new Blob(parts).arrayBuffer());
   }
 }
 

@@ -8,6 +8,7 @@ import type { BlockRecord } from "./directory";
 import { ViewerError } from "../base/errors";
 import { codesOf, columnsOf, hasPages, hasSplats, nameOf, ownShapes, ownerOf, parseIndex, scalesOf } from "./file-index";
 import type { ChunkEntry, Index, LevelEntry, WeightShape } from "./file-index";
+import { freeMemory } from "../base/free-memory";
 import { LazyModule } from "../base/lazy-module";
 import { blockPieces } from "./chunks";
 import type { Piece } from "./chunks";
@@ -37,12 +38,12 @@ export interface Tables {
   /** The level that brings each slot. */
   readonly brought: Uint8Array; // [m]
   /** The anchor's newest live slot, or -1; `next` leads on. */
-  readonly head: Int32Array; // [n]
+  readonly head: Int32Array; // [n], of splats [0]
   /** Live slots, by level of becoming live, then block: those of level k are the first live_k. */
-  readonly slot: Uint8Array; // [m]
+  readonly slot: Uint8Array; // [m], of splats [0]
   readonly offsets: Float32Array; // [m, 3], of splats [0]
-  readonly next: Int32Array; // [m]
-  readonly owner: Int32Array; // [m] its anchor, or -1
+  readonly next: Int32Array; // [m], of splats [0]
+  readonly owner: Int32Array; // [m] its anchor, or -1; of splats [0], since each is its own
 }
 
 /** A client's state: the index, then chunks and blocks in any order their parents allow. */
@@ -177,10 +178,13 @@ export class Assembler {
 
   /** Room for so many anchors and slots. */
   reserve({ anchors, live }: Pick<LevelEntry, "anchors" | "live">): void {
-    if (this.tables.region.length >= anchors && this.tables.slot.length >= live) return;
+    if (this.tables.region.length >= anchors && this.tables.brought.length >= live) return;
     const tables = this.emptyTables(anchors, live);
     const columns = tables as unknown as Record<string, Float32Array>;
-    for (const [name, before] of Object.entries(this.tables)) columns[name].set(before as Float32Array);
+    for (const [name, before] of Object.entries(this.tables as unknown as Record<string, Float32Array>)) {
+      columns[name].set(before);
+      freeMemory(before);
+    }
     this.tables = tables;
   }
 
@@ -194,9 +198,8 @@ export class Assembler {
     tables.logScales.set(block.logScales, 3 * first);
     tables.residual.set(block.residual, this.index.header.residual * first);
     tables.brought.fill(level, first, first + count);
-    for (let i = 0; i < count; i++) {
+    for (let i = 0; codes && i < count; i++) {
       tables.codes.set(block.codes.subarray(i * codes, (i + 1) * codes), (first + i) * stages);
-      tables.head[first + i] = tables.owner[first + i] = first + i;
     }
     for (const [start, rows] of Assembler.rangesOf(record)) tables.region.fill(level, start, start + rows);
   }
@@ -252,6 +255,7 @@ export class Assembler {
 
   private emptyTables(anchors: number, live: number): Tables {
     const { header } = this.index;
+    const [heads, slots] = hasSplats(header) ? [0, 0] : [anchors, live];
     return {
       lattice: new Int32Array(3 * anchors),
       logScales: new Float32Array(scalesOf(header) * anchors),
@@ -259,11 +263,11 @@ export class Assembler {
       residual: new Float32Array(header.residual * anchors),
       region: new Uint8Array(anchors).fill(NOWHERE),
       brought: new Uint8Array(live),
-      head: new Int32Array(anchors).fill(END),
-      slot: new Uint8Array(live),
-      offsets: new Float32Array(hasSplats(header) ? 0 : 3 * live),
-      next: new Int32Array(live).fill(END),
-      owner: new Int32Array(live).fill(END),
+      head: new Int32Array(heads).fill(END),
+      slot: new Uint8Array(slots),
+      offsets: new Float32Array(3 * slots),
+      next: new Int32Array(slots).fill(END),
+      owner: new Int32Array(slots).fill(END),
     };
   }
 }

@@ -103,11 +103,9 @@ export function ownShapes(header: Header, level: LevelEntry): WeightShape[] {
 
 /** Bytes of header and tables, from at least the bytes of the header. */
 export function indexLength(data: Uint8Array): number {
-  layout.MAGIC.forEach((byte, i) => {
-    if (i < data.length && data[i] !== byte) {
-      throw new ViewerError("NotGsynError", "This is no .gsyn file.");
-    }
-  });
+  if (layout.MAGIC.some((byte, i) => i < data.length && data[i] !== byte)) {
+    throw new ViewerError("NotGsynError", "This is no .gsyn file.");
+  }
   if (data.length < layout.HEADER_SIZE) {
     throw mismatch("TruncatedError", "header", `${data.length} bytes`, layout.HEADER_SIZE);
   }
@@ -274,29 +272,24 @@ interface Want {
 
 /** All chunks of a file in their order, as its counts call for them. */
 function plan(header: Header, levels: readonly LevelEntry[]): Want[] {
-  const directory = (k: number): Want => ({
-    kind: Kind.directory,
-    level: k,
-    part: 0,
-    rows: hasPages(header) ? null : levels[k].blocks,
-  });
-  const wants: Want[] = [{ kind: Kind.manifest, level: 0, part: 0, rows: null }];
-  if (header.front) wants.push(...levels.map((_, k) => directory(k)));
+  const wants: Want[] = [];
+  const want = (kind: number, level: number, rows: number | null, part = 0): void => { wants.push({ kind, level, rows, part }); };
+  const directory = (level: number): void => { want(Kind.directory, level, hasPages(header) ? null : levels[level].blocks); };
+  want(Kind.manifest, 0, null);
+  if (header.front) levels.forEach((_, k) => { directory(k); });
   const splats = hasSplats(header);
   let grids = 0;
   levels.forEach((level, k) => {
-    if (!header.front) wants.push(directory(k));
+    if (!header.front) directory(k);
     if (!splats) {
       const weights = ownShapes(header, level).reduce((sum, s) => sum + s.rows * s.columns, 0);
-      wants.push({ kind: Kind.networks, level: k, part: 0, rows: weights });
+      want(Kind.networks, k, weights);
     }
     if (level.codebook_rows && level.codebook_columns && !(splats && level.inherits)) {
-      wants.push({ kind: Kind.codebook, level: k, part: 0, rows: level.codebook_rows });
+      want(Kind.codebook, k, level.codebook_rows);
     }
-    for (let part = grids; part < level.grids; part++) {
-      wants.push({ kind: Kind.grid, level: k, part, rows: null });
-    }
-    wants.push({ kind: Kind.blocks, level: k, part: 0, rows: level.blocks });
+    for (let part = grids; part < level.grids; part++) want(Kind.grid, k, null, part);
+    want(Kind.blocks, k, level.blocks);
     grids = level.grids;
   });
   return wants;
@@ -313,9 +306,7 @@ function checkChunks(index: Index): void {
     const want = must(wants[i], `chunk ${i}`);
     const where = `chunk ${i}`;
     checkRanges(chunk, layout.CHUNK, where);
-    expectEqual(chunk.kind, want.kind, `${where}: kind`);
-    expectEqual(chunk.level, want.level, `${where}: level`);
-    expectEqual(chunk.part, want.part, `${where}: part`);
+    for (const name of ["kind", "level", "part"] as const) expectEqual(chunk[name], want[name], `${where}: ${name}`);
     if (want.rows !== null) expectEqual(chunk.rows, want.rows, `${where}: rows`);
     expectEqual(chunk.offset, offset, `${where}: offset`);
     checkSizes(index, chunk, where);
@@ -374,12 +365,12 @@ export function columnsOf(index: Index, chunk: ChunkEntry): number {
 function checkLevelEnd(index: Index, number: number, end: number, raw: number): void {
   const level = index.levels[number];
   expectEqual(level.end, end, `level ${number}: end`);
-  const bytes = layout.RAW_BYTES_BASE + layout.EXPANSION_MAX * end;
-  if (raw > bytes) throw mismatch("LayoutError", `level ${number}: raw`, raw, `at most ${bytes}`);
-  const slots = level.anchors * index.header.slots;
-  const most = layout.SLOTS_BASE + layout.EXPANSION_MAX * end;
-  if (slots > most) throw mismatch("LayoutError", `level ${number}: slots`, slots, `at most ${most}`);
-  const values = level.anchors * valuesPerAnchor(index.header, level);
-  const room = layout.VALUES_BASE + layout.VALUES_EXPANSION_MAX * end;
-  if (values > room) throw mismatch("LayoutError", `level ${number}: values`, values, `at most ${room}`);
+  const limits = [
+    ["raw", raw, layout.RAW_BYTES_BASE + layout.EXPANSION_MAX * end],
+    ["slots", level.anchors * index.header.slots, layout.SLOTS_BASE + layout.EXPANSION_MAX * end],
+    ["values", level.anchors * valuesPerAnchor(index.header, level), layout.VALUES_BASE + layout.VALUES_EXPANSION_MAX * end],
+  ] as const;
+  for (const [name, found, most] of limits) {
+    if (found > most) throw mismatch("LayoutError", `level ${number}: ${name}`, found, `at most ${most}`);
+  }
 }

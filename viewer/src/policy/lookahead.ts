@@ -2,15 +2,14 @@
  * Our policy: the most expected viewed quality over the next seconds; as stream/lookahead.py.
  *
  * It imagines several whole orders in which the rest of the file could come, adds up for each the
- * quality of the pictures of the moments ahead while its items arrive, and asks for the first item of
- * the best.
+ * quality of the pictures of the moments ahead while its items arrive, and takes the best.
  */
 
 import { FULL_DB } from "./catalog";
 import { SHARED } from "../format/directory";
 import { rankBlocks } from "./schedule";
 import { workingSet } from "./working-set";
-import { SAFETY, SEEN, drawable, leafErrors, missing } from "./state";
+import { SAFETY, SEEN, leafErrors, missing } from "./state";
 import { estimateThroughput } from "./throughput";
 import type { PolicyState } from "./state";
 
@@ -33,16 +32,19 @@ const GUESSED_MARGIN = 0.02;
 
 type Shares = readonly ArrayLike<number>[];
 
-/** The next item to request; null to request nothing. Its needs are held or under way. */
-export function lookahead(whole: PolicyState): number | null {
-  const part = workingSet(withinHorizon(whole));
-  if (!part) return missing(whole, numbersOf(whole)).at(0) ?? null;
-  const chosen = bestOf(part.state);
-  return chosen === null || !part.numbers ? chosen : part.numbers[chosen];
+/**
+ * The items to request, those first that each needs, as far as they are weighed; none if nothing is missing. No moment of
+ * the state is later than `HORIZON`.
+ */
+export function lookahead(whole: PolicyState): readonly number[] {
+  const part = workingSet(whole);
+  if (!part) return missing(whole, numbersOf(whole));
+  const { state, numbers } = part;
+  const order = bestOrder(state);
+  return numbers ? order.map((number) => numbers[number]) : order;
 }
 
-/** The first item of the best order. */
-function bestOf(state: PolicyState): number | null {
+function bestOrder(state: PolicyState): readonly number[] {
   const rate = SAFETY * estimateThroughput(state.samples);
   const errors = leafErrors(state);
   let best = -1;
@@ -60,13 +62,7 @@ function bestOf(state: PolicyState): number | null {
   weigh(sortedOrders(state, errors), 0);
   best *= 1 + SOONER;
   weigh(promote(state, chosen), 0);
-  return chosen.length ? chosen[0] : null;
-}
-
-/** The state with only those moments that count, the present always. */
-function withinHorizon(state: PolicyState): PolicyState {
-  const count = Math.max(1, state.moments.filter((moment) => moment <= HORIZON).length);
-  return { ...state, shares: state.shares.slice(0, count), moments: state.moments.slice(0, count) };
+  return chosen;
 }
 
 /** Orders in which blocks of a level come as they lie in the file; none is empty. */
@@ -104,13 +100,13 @@ export function promote({ catalog }: PolicyState, order: readonly number[]): num
   return found;
 }
 
-/** Complete orders: the items that a choice lacks, then all others, needs first, as far as the device can draw them; none twice. */
+/** Complete orders: the items that a choice lacks, then all others, needs first; none twice. */
 function whole(state: PolicyState, choices: readonly number[][]): number[][] {
   const found = new Map<string, number[]>();
   const everything = missing(state, numbersOf(state));
   for (const goals of choices) {
     const first = new Set(missing(state, goals));
-    const order = drawable(state, [...first, ...everything.filter((number) => !first.has(number))]);
+    const order = [...first, ...everything.filter((number) => !first.has(number))];
     if (order.length) found.set(order.join(), order);
   }
   return [...found.values()];

@@ -4,6 +4,7 @@ import type { Assembler } from "../format/assembler";
 import { UNKNOWN, catalogOf, leavesOf } from "./catalog";
 import type { Catalog, Item, Leaves } from "./catalog";
 import type { ViewPose } from "../base/view-pose";
+import { estimateThroughput } from "./throughput";
 import type { Sample } from "./throughput";
 import { RUN_SECONDS, coalesce } from "./coalesce";
 import { HORIZON, lookahead } from "./lookahead";
@@ -16,8 +17,17 @@ const REST = 0.3;
 /** Longest request, bytes: what comes in `RUN_SECONDS` over a fast line. */
 const REQUEST_BYTES = 192 * 1024;
 
+/** An order stands for so many times what it took to find: to choose takes at most a tenth of the worker's time. */
+const STANDS = 9;
+
 /** Share of the image below which a page counts as unseen. */
 const SEEN = 1e-3;
+
+/** A connection: samples of what came and was used, and bytes per second of the line, 0 where nobody tells. */
+export interface Line {
+  readonly samples: readonly Sample[];
+  readonly lineRate: number;
+}
 
 /** Blocks, and how much each takes off the errors of the views ahead. */
 export interface BlockUtilities {
@@ -25,17 +35,13 @@ export interface BlockUtilities {
   readonly worth: Float64Array;
 }
 
-/** A connection: samples of what came and was used, and bytes per second of the line. */
-export interface Line {
-  readonly samples: readonly Sample[];
-  readonly lineRate: number;
-}
-
 export class ViewPrediction {
   private leaves: Leaves;
   private readonly catalogs = new Map<number, Catalog>();
   private last: { eye: ViewPose; time: number; before: ViewPose; step: number } | null = null;
   private shares: { readonly resting: boolean; readonly rows: readonly Float64Array[] } | null = null;
+  /** The order in which the rest of a catalog is to come, and when it is to be chosen anew, milliseconds. */
+  private plan: { readonly catalog: Catalog; readonly order: readonly number[]; readonly until: number } | null = null;
 
   constructor(private readonly assembler: Assembler) {
     this.leaves = leavesOf(assembler);
@@ -100,11 +106,22 @@ export class ViewPrediction {
     catalog.items.forEach(({ level, block }, number) => {
       if (isKnown(level, block)) known.add(number);
     });
-    if (known.size === catalog.items.length) return [];
-    const found = lookahead({ catalog, known, samples, shares: this.sharesNow(), moments: AHEAD, budget: 0 });
-    if (found === null) return [];
-    const rate = Math.min(lineRate, REQUEST_BYTES / RUN_SECONDS);
+    const found = this.choose(catalog, known, samples);
+    if (found === undefined) return [];
+    const rate = Math.min(lineRate || estimateThroughput(samples), REQUEST_BYTES / RUN_SECONDS);
     return coalesce(catalog, found, known, rate).map((number) => catalog.items[number]);
+  }
+
+  /** The next item by the order that stands, or by one that is chosen now. */
+  private choose(catalog: Catalog, known: ReadonlySet<number>, samples: readonly Sample[]): number | undefined {
+    const begun = performance.now();
+    const next = () => this.plan?.order.find((number) => !known.has(number));
+    if (this.plan?.catalog !== catalog || begun > this.plan.until || next() === undefined) {
+      const order = lookahead({ catalog, known, samples, shares: this.sharesNow(), moments: AHEAD });
+      const now = performance.now();
+      this.plan = { catalog, order, until: now + STANDS * (now - begun) };
+    }
+    return next();
   }
 
   /** Utility of all blocks of the file, held or not. */

@@ -1,7 +1,6 @@
 /** Input of a policy, and the helpers that all policies share; as stream/policy.py. */
 
 import type { Catalog } from "./catalog";
-import { SHARED } from "../format/directory";
 import type { Sample } from "./throughput";
 
 /** Share of the estimated throughput that is counted on (dash.js). */
@@ -20,8 +19,6 @@ export interface PolicyState {
   readonly shares: readonly ArrayLike<number>[];
   /** Moments of `shares`, seconds from now. */
   readonly moments: readonly number[];
-  /** Splats that the device can draw; 0: no limit. */
-  readonly budget: number;
 }
 
 /** Missing items of the goals that are not under way, needs before the items that need them. */
@@ -46,21 +43,4 @@ export function leafErrors({ catalog, known }: PolicyState): Float64Array {
     for (let i = 0; i < region.length; i++) levels[region[i]] = Math.max(levels[region[i]], level);
   }
   return Float64Array.from(levels, (level, leaf) => (level < 0 ? 1 : catalog.errors[level][leaf]));
-}
-
-/** The order as far as the device can draw it, item by item; the base always. */
-export function drawable({ catalog, known, budget }: PolicyState, order: readonly number[]): number[] {
-  if (!budget) return order.slice();
-  const kept = new Set<number>();
-  let slots = 0;
-  for (const number of known) slots += catalog.items[number].slots;
-  for (const number of order) {
-    const { level, block, needs, slots: own } = catalog.items[number];
-    if (!needs.every((need) => known.has(need) || kept.has(need))) continue;
-    const base = level === 0 && block === SHARED;
-    if (!base && slots + own > budget) continue;
-    kept.add(number);
-    slots += own;
-  }
-  return [...kept];
 }

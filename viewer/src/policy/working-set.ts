@@ -47,10 +47,8 @@ export function workingSet(state: PolicyState): WorkingSet | null {
   const own: Item[] = numbers.map((number, at) => ({ ...items[number], region: regions[at], needs: items[number].needs.flatMap((need) => part.get(need) ?? []) }));
   const table = errors.map((row) => Float64Array.from([...chosen, -1], (leaf) => (leaf < 0 ? error : row[leaf])));
   const held = new Set([...known].flatMap((number) => part.get(number) ?? []));
-  const outside = [...known].reduce((sum, number) => sum + (part.has(number) ? 0 : items[number].slots), 0);
-  const budget = state.budget && Math.max(1, state.budget - outside);
   const catalog = { items: own, errors: table, measured, leaves: others + 1 };
-  return { state: { ...state, catalog, known: held, shares: rows, budget }, numbers };
+  return { state: { ...state, catalog, known: held, shares: rows }, numbers };
 }
 
 /** The leaves that lack something and take most of a picture, at most `WINDOW`, ascending. */

@@ -2,6 +2,7 @@
 
 import type { TrainingFocals } from "../format/notes/training-focals";
 import type { FromDecoder, SceneFacts, Side, Sorted, ToSorter } from "../decode/messages";
+import { freeMemory } from "../base/free-memory";
 import { SLOTS_PER_MESSAGE, WORDS } from "../decode/pack-attributes";
 import { NEAR, ROW } from "./shaders";
 import type { UploadRange } from "./upload-queue";
@@ -73,7 +74,9 @@ export class SideView {
     // A level that shows other splats changes all, one block only its own pages.
     let all = false;
     const keep = (first: number, count: number) => {
-      layer.keep(first, count, now(), surface.fade);
+      // From a page's first splat on.
+      const before = first % SLOTS_PER_MESSAGE;
+      layer.keep(first - before, count + before, now(), surface.fade);
       this.fadeUntil = now() + surface.fade;
     };
     surface.later(side, 0, () => {
@@ -86,6 +89,7 @@ export class SideView {
       surface.later(side, drawn.length, (from, to) => {
         if (mix && !all) keep(first + from, to - from);
         layer.setAttributes(first + from, words.subarray(WORDS * from, WORDS * to));
+        if (to === drawn.length) freeMemory(words);
       });
     }
     surface.later(side, 0, () => {

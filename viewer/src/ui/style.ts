@@ -3,7 +3,7 @@
 export const STYLE = `
 .stage:not(.mouse):focus-visible::after { content: ""; position: absolute; inset: 0; box-shadow: inset 0 0 0 2px var(--accent); }
 .divider { position: absolute; top: 0; bottom: 0; left: 50%; width: 24px; margin-left: -12px; cursor: ew-resize;
-  touch-action: none; background: linear-gradient(var(--accent), var(--accent)) center / 2px 100% no-repeat; outline: none; }
+  touch-action: none; background: linear-gradient(var(--accent) 0 0) center / 2px 100% no-repeat; outline: none; }
 .divider::before, .divider::after { content: attr(data-left); position: absolute; top: 50%; right: 20px; padding: 2px 8px;
   border-radius: 6px; background: var(--panel); border: 1px solid var(--line); font-size: 12px; }
 .divider::after { content: attr(data-right); right: auto; left: 20px; }
