@@ -11,6 +11,8 @@ export type TakePiece = (piece: Piece, bytes: Uint8Array, following: Piece[]) =>
 
 const SAMPLES_MAX = 200;
 const SAMPLE_SECONDS = 0.1;
+/** Share of a request that counts once another has come. */
+const FADES = 0.9;
 /** Times that a piece with a wrong checksum is requested again. */
 const REPAIRS = 3;
 
@@ -25,13 +27,11 @@ export class Download {
   bytes = 0;
   /** Throughput of the last seconds, oldest first. */
   samples: readonly Sample[] = [];
-  /**
-   * Bytes per second of the last request by the browser's clock, which does not wait for this thread to look; 0 where a
-   * server of another origin hides them.
-   */
-  lineRate = 0;
   readonly reader: RangeReader;
   private window = { amount: 0, since: 0 };
+  /** Bytes of requests and the milliseconds that they took; old ones fade. */
+  private came = 0;
+  private took = 0;
 
   constructor(
     private readonly source: ByteSource,
@@ -44,9 +44,18 @@ export class Download {
     }, signal);
     new PerformanceObserver((list) => {
       for (const { encodedBodySize, duration } of list.getEntries() as PerformanceResourceTiming[]) {
-        this.lineRate = (1000 * encodedBodySize) / duration;
+        this.came = FADES * this.came + encodedBodySize;
+        this.took = FADES * this.took + duration;
       }
     }).observe({ type: "resource" });
+  }
+
+  /**
+   * Bytes per second of the line by the browser's clock, which does not wait for this thread to look; 0 where a server of
+   * another origin hides them, not a number before any came.
+   */
+  get lineRate(): number {
+    return (1000 * this.came) / this.took;
   }
 
   /** Fetch pieces that stand one after the other, and hand out each as soon as it is there. */

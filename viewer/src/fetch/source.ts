@@ -116,8 +116,8 @@ export class HttpSource implements ByteSource {
   private check(response: Response): void {
     const { status } = response;
     if (BUSY.includes(status)) {
-      const after = Number(response.headers.get("retry-after") ?? "");
-      const seconds = Number.isFinite(after) ? Math.min(60, after) : 0;
+      // A date, or nothing, is no number.
+      const seconds = Math.min(60, Number(response.headers.get("retry-after"))) || 0;
       throw new ViewerError("TransientError", `${this.name}: the server answers ${status}.`, seconds);
     }
     if (status === 416) throw truncatedError(this.name, sizeOf(response));
@@ -227,5 +227,5 @@ async function* bodyOf(response: Response, give: AbortController, name: string):
 }
 
 function truncatedError(name: string, size: number): ViewerError {
-  return new ViewerError("TruncatedError", `${name}: the file ends after ${size || "fewer"} bytes${size ? "" : " than it should have"}; load it again.`);
+  return new ViewerError("TruncatedError", `${name}: the file ends ${size ? `after ${size} bytes` : "too soon"}; load it again.`);
 }

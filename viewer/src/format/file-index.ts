@@ -121,8 +121,7 @@ export function indexLength(data: Uint8Array): number {
     );
   }
   checkRanges(header, layout.HEADER, "header");
-  const { levels, chunks } = header;
-  const length = layout.HEADER_SIZE + levels * layout.LEVEL_SIZE + chunks * layout.CHUNK_SIZE;
+  const length = layout.HEADER_SIZE + header.levels * layout.LEVEL_SIZE + header.chunks * layout.CHUNK_SIZE;
   if (length > layout.INDEX_BYTES_MAX) {
     throw mismatch("LayoutError", "index", `${length} bytes`, `at most ${layout.INDEX_BYTES_MAX}`);
   }
@@ -142,7 +141,7 @@ export function parseIndex(data: Uint8Array): Index {
   if (crc32(blank) !== header.crc) {
     throw new ViewerError("ChecksumError", "index: the bytes were changed, load the file again");
   }
-  const second = layout.HEADER_SIZE + header.levels * layout.LEVEL_SIZE;
+  const second = length - header.chunks * layout.CHUNK_SIZE;
   const levels = Array.from({ length: header.levels }, (_, k) =>
     readRecord(view, layout.HEADER_SIZE + k * layout.LEVEL_SIZE, layout.LEVEL),
   );
@@ -327,7 +326,7 @@ function checkSizes(index: Index, chunk: ChunkEntry, where: string): void {
   if (!coded) expectEqual(chunk.coding, 0, `${where}: coding`);
   if (kind !== Kind.blocks) expectEqual(raw, rawLength(index, chunk), `${where}: raw`);
   else expectEqual(chunk.crc, 0, `${where}: crc`);
-  if (stored > raw || (stored === 0 && raw > 0)) {
+  if (stored > raw || (!stored && raw)) {
     throw mismatch("LayoutError", `${where}: stored`, stored, `1 to ${raw}`);
   }
   if (kind === Kind.manifest && raw > layout.MANIFEST_BYTES_MAX) {

@@ -23,7 +23,7 @@ const STANDS = 9;
 /** Share of the image below which a page counts as unseen. */
 const SEEN = 1e-3;
 
-/** A connection: samples of what came and was used, and bytes per second of the line, 0 where nobody tells. */
+/** A connection: samples of what came and was used, and bytes per second of the line, 0 or not a number where nobody tells. */
 export interface Line {
   readonly samples: readonly Sample[];
   readonly lineRate: number;
