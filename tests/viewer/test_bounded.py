@@ -52,12 +52,13 @@ def wide(shape: Shape, folder: Path) -> tuple[Path, int]:
 
 QUIET = (
     "let before = -1; let quiet = 0;"
-    " while (quiet < 8) { await new Promise((r) => setTimeout(r, 100));"
+    " while (quiet < 20) { await new Promise((r) => setTimeout(r, 100));"
     " const { bytes, decodeSeconds } = viewer().stats;"
     " const now = `${viewer().scene.drawn} ${bytes} ${decodeSeconds}`;"
     " quiet = now === before ? quiet + 1 : 0; before = now; }"
 )
-"""Wait until nothing more is loaded."""
+"""Wait until nothing more is loaded: blocks come 0.6 s after those that make room for them, and
+later beside other work."""
 
 
 def look(side: int, wait: str) -> str:
