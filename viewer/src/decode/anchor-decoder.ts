@@ -3,6 +3,7 @@
 import { Assembler, NOWHERE } from "../format/assembler";
 import type { BlockRecord } from "../format/directory";
 import type { Vec } from "../base/vec3";
+import type { Attributes } from "./messages";
 import { must } from "../format/records";
 import { gridCoordinates, latticePosition } from "../format/lattice";
 import { ALPHA_MIN, BATCH, SLOT_VALUES } from "./kernel/kernel";
@@ -26,11 +27,8 @@ const NO_EYE: Vector = [0, 0, 0];
 
 export type Vector = readonly [number, number, number];
 
-/** Packed attributes of slots from `first` on, see `packSlot`; 0 where nothing is drawn. */
-export interface WordRun {
-  readonly first: number;
-  readonly words: Uint32Array;
-}
+/** Attributes of some slots; words are 0 where nothing is drawn. */
+type WordRun = Pick<Attributes, "first" | "words">;
 
 /** The Gaussians of an assembler's tables for one eye point. */
 export class Decoder {
@@ -150,14 +148,14 @@ export class Decoder {
 
   /** Runs of slots that changed since the last call, of anchors' slots in whole pages. */
   takeRuns(): WordRun[] {
-    const { runs, dirty, words } = this;
-    const pages = [...dirty].sort((a, b) => a - b);
+    const { runs } = this;
+    const pages = [...this.dirty].sort((a, b) => a - b);
     this.dirty = new Set();
     this.runs = [];
     for (let i = 0, from = 0; i < pages.length; i++) {
       if (pages[i + 1] === pages[i] + 1) continue;
       const first = pages[from] * SLOTS_PER_MESSAGE;
-      runs.push({ first, words: words.slice(first * WORDS, (pages[i] + 1) * SLOTS_PER_MESSAGE * WORDS) });
+      runs.push({ first, words: this.words.slice(first * WORDS, (pages[i] + 1) * SLOTS_PER_MESSAGE * WORDS) });
       from = i + 1;
     }
     return runs;

@@ -23,16 +23,16 @@ const STANDS = 9;
 /** Share of the image below which a page counts as unseen. */
 const SEEN = 1e-3;
 
-/** A connection: samples of what came and was used, and bytes per second of the line, 0 or not a number where nobody tells. */
-export interface Line {
-  readonly samples: readonly Sample[];
-  readonly lineRate: number;
-}
-
 /** Blocks, and how much each takes off the errors of the views ahead. */
 export interface BlockUtilities {
   readonly items: readonly Item[];
   readonly worth: Float64Array;
+}
+
+/** A connection: samples of what came and was used, and bytes per second of the line, 0 or not a number where nobody tells. */
+export interface Line {
+  readonly samples: readonly Sample[];
+  readonly lineRate: number;
 }
 
 export class ViewPrediction {
@@ -106,14 +106,14 @@ export class ViewPrediction {
     catalog.items.forEach(({ level, block }, number) => {
       if (isKnown(level, block)) known.add(number);
     });
+    if (known.size === catalog.items.length) return [];
     const found = this.choose(catalog, known, samples);
-    if (found === undefined) return [];
     const rate = Math.min(lineRate || estimateThroughput(samples), REQUEST_BYTES / RUN_SECONDS);
     return coalesce(catalog, found, known, rate).map((number) => catalog.items[number]);
   }
 
-  /** The next item by the order that stands, or by one that is chosen now. */
-  private choose(catalog: Catalog, known: ReadonlySet<number>, samples: readonly Sample[]): number | undefined {
+  /** The next of the items that lack, by the order that stands or by one that is chosen now. */
+  private choose(catalog: Catalog, known: ReadonlySet<number>, samples: readonly Sample[]): number {
     const begun = performance.now();
     const next = () => this.plan?.order.find((number) => !known.has(number));
     if (this.plan?.catalog !== catalog || begun > this.plan.until || next() === undefined) {
@@ -121,7 +121,7 @@ export class ViewPrediction {
       const now = performance.now();
       this.plan = { catalog, order, until: now + STANDS * (now - begun) };
     }
-    return next();
+    return next()!;
   }
 
   /** Utility of all blocks of the file, held or not. */
