@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.colmap.read import find_sparse, read_sparse, read_tracks
+from gsynopsis.scene.colmap.read import find_sparse, read_sparse
 from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.observations import front_most, observed
 
@@ -38,8 +39,8 @@ def test_tracks_name_photos_in_which_points_are(real_scene) -> None:
 
 def test_without_tracks_points_in_front_count(small_room) -> None:
     scene = load_scene(small_room)
-    tracks, _ = read_tracks(find_sparse(small_room) or small_room)
-    assert not len(tracks.images), "the procedural scene has none"
+    model = read_sparse(find_sparse(small_room) or small_room)
+    assert not len(model.tracks.images), "the procedural scene has none"
     seen = observed(scene)
     assert 0 < len(seen) < len(scene.points) * len(scene.train)
     assert seen.views.max() < len(scene.train)
@@ -53,25 +54,41 @@ POINTS = "4 0 0 5 1 2 3 0.5 7 0 9 3\n8 1 0 5 1 2 3 0.5 9 1\n"
 def test_text_tracks_are_by_the_number_of_the_image(tmp_path: Path) -> None:
     for name, text in (("cameras", CAMERAS), ("images", IMAGES), ("points3D", POINTS)):
         (tmp_path / f"{name}.txt").write_text(text)
-    tracks, names = read_tracks(tmp_path)
-    assert tracks.images.tolist() == [7, 9, 9] and tracks.points.tolist() == [0, 0, 1]
-    assert tracks.places.tolist() == [[0, 0, 5], [1, 0, 5]]
-    assert names == {7: "a b.png", 9: "c.png"}
+    model = read_sparse(tmp_path)
+    assert model.tracks.images.tolist() == [7, 9, 9]
+    assert model.tracks.points.tolist() == [0, 0, 1]
+    assert {image.number: image.name for image in model.images} == {7: "a b.png", 9: "c.png"}
 
 
 def test_binary_tracks_are_those_of_the_text(real_scene, tmp_path: Path) -> None:
     pycolmap = pytest.importorskip("pycolmap")
     source = real_scene("brighton") / "sparse" / "0"
     pycolmap.Reconstruction(source).write_text(tmp_path)
-    binary, text = read_tracks(source), read_tracks(tmp_path)
-    assert binary[1] == text[1] and len(binary[0].images) > 10_000
+    binary, text = read_sparse(source), read_sparse(tmp_path)
+    assert len(binary.tracks.images) > 10_000
 
-    def pairs(tracks):
-        rows = np.column_stack([tracks.places[tracks.points].round(4), tracks.images])
-        return sorted(map(tuple, rows.tolist()))
+    def pairs(model):
+        places = model.points[model.tracks.points].round(4)
+        return sorted(map(tuple, np.column_stack([places, model.tracks.images]).tolist()))
 
-    assert pairs(binary[0]) == pairs(text[0])
-    assert len(read_sparse(source).images) == len(binary[1])
+    assert pairs(binary) == pairs(text)
+
+
+@pytest.mark.parametrize(("wrong", "share"), [(0, None), (1, None), (8, "40%"), (20, "100%")])
+def test_poses_that_do_not_fit_the_points_are_told(tmp_path: Path, wrong: int, share) -> None:
+    sparse, photos = tmp_path / "sparse" / "0", tmp_path / "images"
+    for folder in (sparse, photos):
+        folder.mkdir(parents=True)
+    for name in ("a b.png", "c.png"):
+        Image.new("RGB", (64, 48)).save(photos / name)
+    points = "".join(f"{n} 0 0 {-5 if n < wrong else 5} 1 2 3 0.5 7 0 9 {n}\n" for n in range(20))
+    for name, text in (("cameras", CAMERAS), ("images", IMAGES), ("points3D", points)):
+        (sparse / f"{name}.txt").write_text(text)
+    notes = [note for note in load_scene(tmp_path).notes if "not of one model" in note]
+    assert len(notes) == (share is not None)
+    if share:
+        assert notes[0].startswith(f"{share} of what sparse/0 says photos show lies outside")
+        assert f"gsynopsis scene {tmp_path} {tmp_path}_scene" in notes[0]
 
 
 def test_photos_that_are_not_trained_on_are_left_out(real_scene) -> None:

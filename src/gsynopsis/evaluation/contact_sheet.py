@@ -90,7 +90,7 @@ def _columns(sheet: Image.Image, report: Report, place: tuple[int, int], grid: G
     """Draw the head of each column: level and bytes up to it; place is (y, column width)."""
     top, width = place
     draw, strong, faint = ImageDraw.Draw(sheet), _font(15), _font(13)
-    draw.text((grid.margin, top), "photo", INK, strong)
+    draw.text((grid.margin, top), "ground truth", INK, strong)
     for score in report.levels:
         left = grid.margin + (1 + score.level) * (width + grid.gap)
         draw.text((left, top), f"L{score.level}", INK, strong)
@@ -105,7 +105,7 @@ def _block(
     place: tuple[int, int, int],
     grid: Grid,
 ) -> None:
-    """One view: the photo and the levels above, their errors below; place is (y, w, h)."""
+    """One view: the ground truth and the levels above, their errors below; place is (y, w, h)."""
     top, width, height = place
     below = top + height + grid.line + grid.gap // 2
     _cell(sheet, pictures.truth, (grid.margin, top, width, height), pictures.view)

@@ -96,7 +96,7 @@ def _bars(report: Report) -> list[tuple[str, str, float]]:
 
 def _show(pictures: Pictures) -> dict[str, object]:
     """One view as named slides, each an image as a data URI."""
-    slides = [("photo", data_uri(pictures.truth))]
+    slides = [("ground truth", data_uri(pictures.truth))]
     slides += [(f"L{i}", data_uri(image)) for i, image in enumerate(pictures.levels)]
     errors = [error_image(image, pictures.truth) for image in pictures.levels]
     slides += [(f"error L{i}", data_uri(image)) for i, image in enumerate(errors)]

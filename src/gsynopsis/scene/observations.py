@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import Camera
-from gsynopsis.scene.colmap.model import Tracks
-from gsynopsis.scene.colmap.read import read_tracks
+from gsynopsis.scene.colmap.model import SparseModel
+from gsynopsis.scene.colmap.read import read_sparse
 from gsynopsis.scene.scene import Scene
 from gsynopsis.scene.search import find_models
 
@@ -46,34 +46,34 @@ class Observations:
 
 def observed(scene: Scene) -> Observations:
     """Observations of a scene's training photos: its tracks, else its front-most points."""
-    tracked = [_tracked(scene, *own) for own in _models(scene)]
+    tracked = [_tracked(scene, model) for model in _models(scene)]
     found = max(tracked, key=len, default=None)
     found = found if found is not None and len(found) else _front_most(scene)
     step = -(-len(found) // MOST)
     return found.of(found.points % step == 0) if step > 1 else found
 
 
-def _models(scene: Scene) -> list[tuple[Tracks, dict[int, str]]]:
+def _models(scene: Scene) -> list[SparseModel]:
     """Sparse models whose images are views of the scene: that one which was read."""
-    names, found = {view.name for view in scene.views}, list[tuple[Tracks, dict[int, str]]]()
+    names, found = {view.name for view in scene.views}, list[SparseModel]()
     for folder in find_models(scene.root):
         try:
-            tracks, images = read_tracks(folder)
+            model = read_sparse(folder)
         except SceneError:  # damaged: another one was read
             continue
-        if {*images.values()} >= names:
-            found.append((tracks, images))
+        if {image.name for image in model.images} >= names:
+            found.append(model)
     return found
 
 
-def _tracked(scene: Scene, tracks: Tracks, names: dict[int, str]) -> Observations:
+def _tracked(scene: Scene, model: SparseModel) -> Observations:
     """Observations of training photos as tracks say them."""
     rows = {scene.views[view].name: row for row, view in enumerate(scene.train)}
-    row_of = {number: rows.get(name, -1) for number, name in names.items()}
-    numbers, inverse = np.unique(tracks.images, return_inverse=True)
+    row_of = {image.number: rows.get(image.name, -1) for image in model.images}
+    numbers, inverse = np.unique(model.tracks.images, return_inverse=True)
     views = np.array([row_of.get(int(number), -1) for number in numbers], np.int64)[inverse]
-    places = tracks.places - np.array(scene.shift)
-    return Observations(places, views, tracks.points).of(views >= 0)
+    places = model.points - np.array(scene.shift)
+    return Observations(places, views, model.tracks.points).of(views >= 0)
 
 
 def _front_most(scene: Scene) -> Observations:

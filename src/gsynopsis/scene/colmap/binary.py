@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.files import open_regular
@@ -23,7 +22,9 @@ from gsynopsis.scene.colmap.model import (
     KNOWN,
     MODEL_NAMES,
     NO_POINTS,
+    NO_TRACKS,
     Pinhole,
+    Points,
     Pose,
     SparseModel,
     Tracks,
@@ -112,29 +113,10 @@ def read_binary(folder: Path, points: bool = True) -> SparseModel:
     cameras = _read_cameras(folder / "cameras.bin")
     images, lost = _read_images(folder / "images.bin")
     path = folder / "points3D.bin"
-    places, colors = _read_points(path) if points and path.is_file() else NO_POINTS
-    return SparseModel(cameras, images, places, colors, lost)
-
-
-def read_binary_tracks(folder: Path) -> Tracks:
-    """The tracks of points3D.bin.
-
-    Raises:
-        SceneError: It is unreadable or truncated.
-    """
-    cursor = _Cursor(folder / "points3D.bin")
-    count = cursor.count("points", POINT.size)
-    places, images = np.empty((count, 3)), list[NDArray[np.int64]]()
-    for index in range(count):
-        _, *place, _, _, _, _, track = cursor.take(POINT, "point")
-        places[index] = place
-        cursor.need(track * TRACK_BYTES, "track")
-        pairs = np.frombuffer(cursor.data, "<i4", 2 * track, cursor.at)
-        images.append(pairs[::2].astype(np.int64))
-        cursor.at += track * TRACK_BYTES
-    lengths = [len(own) for own in images]
-    empty = np.zeros(0, np.int64)
-    return Tracks(places, np.concatenate([empty, *images]), np.repeat(np.arange(count), lengths))
+    places, colors, tracks = (
+        _read_points(path) if points and path.is_file() else (*NO_POINTS, NO_TRACKS)
+    )
+    return SparseModel(cameras, images, places, colors, lost, tracks=tracks)
 
 
 def _read_cameras(path: Path) -> dict[int, Pinhole]:
@@ -170,18 +152,23 @@ def _read_images(path: Path) -> tuple[tuple[Pose, ...], tuple[str, ...]]:
     return tuple(images), tuple(lost)
 
 
-def _read_points(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+def _read_points(path: Path) -> Points:
     cursor = _Cursor(path)
     count = cursor.count("points", POINT.size)
-    points = np.empty((count, 3))
+    places = np.empty((count, 3))
     colors = np.empty((count, 3), np.uint8)
+    lengths, images = np.empty(count, np.int64), [np.zeros(0, np.int32)]
     for index in range(count):
         _, x, y, z, red, green, blue, _, track = cursor.take(POINT, "point")
+        start = cursor.at
         cursor.skip(track * TRACK_BYTES, "track")
-        points[index] = x, y, z
+        images.append(np.frombuffer(cursor.data, "<i4", 2 * track, start)[::2].copy())
+        places[index] = x, y, z
         colors[index] = red, green, blue
+        lengths[index] = track
     cursor.finish()
-    return points, colors
+    shown = np.concatenate(images).astype(np.int64)
+    return places, colors, Tracks(shown, np.repeat(np.arange(count), lengths))
 
 
 def write_binary(folder: Path, model: SparseModel) -> None:

@@ -92,19 +92,26 @@ class Tracks:
     """Images that show each point, one row per observation.
 
     Attributes:
-        places: Of the points, float64 [P, 3], world units.
         images: Number of the image, int64 [O].
         points: Row of the point, int64 [O].
     """
 
-    places: NDArray[np.float64]
     images: NDArray[np.int64]
     points: NDArray[np.int64]
 
 
+NO_TRACKS = Tracks(np.zeros(0, np.int64), np.zeros(0, np.int64))
+
+
+Points = tuple[NDArray[np.float64], NDArray[np.uint8], Tracks]
+"""Places [P, 3] in world units, colours [P, 3] in sRGB, and the images that show them."""
+NO_POINTS = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+"""Points and colours of a model that has none."""
+
+
 @dataclass(frozen=True)
 class SparseModel:
-    """A sparse model without its observations and tracks, which nothing here needs.
+    """A sparse model without its observations in pixels, which nothing here needs.
 
     Attributes:
         cameras: By id.
@@ -113,6 +120,7 @@ class SparseModel:
         colors: Colours of the points.
         lost: Names of images whose pose is not finite.
         notes: Corrections made while reading, a sentence each.
+        tracks: Images that show the points; empty where the files have none.
     """
 
     cameras: dict[int, Pinhole]
@@ -121,6 +129,7 @@ class SparseModel:
     colors: NDArray[np.uint8]  # [P, 3] sRGB
     lost: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    tracks: Tracks = NO_TRACKS
 
 
 def undistort_advice(root: Path | str, images: str = "images", sparse: str = "sparse/0") -> str:
@@ -201,10 +210,6 @@ def pinhole(
         wanted = "finite numbers and a positive focal length"
         raise SceneError(path, f"{field} parameters", found=list(params), expected=wanted)
     return Pinhole(*size, fx, fy, cx, cy, lens)
-
-
-NO_POINTS = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
-"""Points and colours of a model that has none."""
 
 
 def pose(path: Path, name: str, camera: int, numbers: Sequence[float]) -> Pose | None:

@@ -1,11 +1,11 @@
 """COLMAP sparse models on disk → a `SceneRecords`.
 
 Rigs and frames (rigs.bin, frames.bin, COLMAP 3.12 and later) repeat what images.bin says and are
-not read. Observations and tracks are checked for length and passed over. Points come from
+not read. Observations are checked for length and passed over. Points come from
 points3D.bin or points3D.txt, or where these are missing or empty from points3D.ply.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,9 +13,15 @@ import numpy as np
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.account import Account, listed
-from gsynopsis.scene.colmap.binary import read_binary, read_binary_tracks
-from gsynopsis.scene.colmap.model import Pose, SparseModel, Tracks, rotation_from_quaternion
-from gsynopsis.scene.colmap.text import read_text, read_text_tracks
+from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.colmap.binary import read_binary
+from gsynopsis.scene.colmap.model import (
+    Pose,
+    SparseModel,
+    poses_advice,
+    rotation_from_quaternion,
+)
+from gsynopsis.scene.colmap.text import read_text
 from gsynopsis.scene.ply import read_ply
 from gsynopsis.scene.search import (
     MODEL_FILES,
@@ -27,6 +33,8 @@ from gsynopsis.scene.search import (
 from gsynopsis.scene.views import LOST, MISSING, UNPOSED, SceneRecords, View, place_of, views_of
 
 POINTS = "points3D.ply"
+FRAMED = 0.75
+"""Least share of observations whose point lies in its photo's frame; real models have 0.99."""
 
 
 def find_sparse(root: Path) -> Path | None:
@@ -55,21 +63,6 @@ def _read_posed(folder: Path, *, points: bool = True) -> SparseModel:
             advice = "a sparse model is cameras, images and points3D, all .bin or all .txt"
             raise SceneError(path, found="no such file", expected="COLMAP's file", advice=advice)
     return read_binary(folder, points) if kind == "bin" else read_text(folder, points)
-
-
-def read_tracks(folder: Path) -> tuple[Tracks, dict[int, str]]:
-    """Tracks of the sparse model in `folder`, and image names by number.
-
-    Without points3D.bin or points3D.txt there are none.
-
-    Raises:
-        SceneError: As `read_sparse`.
-    """
-    kind = _kind(folder)
-    names = {image.number: image.name for image in _read_posed(folder, points=False).images}
-    if not (folder / f"points3D.{kind}").is_file():
-        return Tracks(np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, np.int64)), names
-    return read_binary_tracks(folder) if kind == "bin" else read_text_tracks(folder), names
 
 
 def _kind(folder: Path) -> str:
@@ -175,15 +168,40 @@ def read_colmap(root: Path, sparse: Path, images: Path | None = None) -> SceneRe
 
     found = [(image, photo(image.name)) for image in model.images]
     there = [(image, file) for image, file in found if file.is_file()]
-    views = tuple(v for image, file in there for v in _views(path, model, image, file))
+    made = [(image.number, _views(path, model, image, file)) for image, file in there]
+    views = tuple(view for _, own in made for view in own)
     missing = [image.name for image, file in found if not file.is_file()]
     known = {*(view.path for view in views), *map(photo, model.lost)}
     rest = unused_files(root, [folder], known, folder)
     account = Account(source=name_of(root, sparse), unread=rest.endings)
     account = account.without(LOST, model.lost).without(MISSING, missing)
     account = account.without(UNPOSED, rest.photos)
-    notes = (*model.notes, *photographs.notes)
+    cameras = {number: own[0].camera for number, own in made if len(own) == 1}
+    notes = (*model.notes, *photographs.notes, *_track_notes(root, account.source, model, cameras))
     return SceneRecords(path, views, model.points, model.colors, notes=notes, account=account)
+
+
+def _track_notes(
+    root: Path, source: str, model: SparseModel, cameras: Mapping[int, Camera]
+) -> tuple[str, ...]:
+    """A sentence on photos that do not show what their model says, by the cameras of their numbers.
+
+    So it is where a script wrote other poses, or took the points of another model.
+    """
+    order = np.argsort(model.tracks.images, kind="stable")
+    numbers, starts = np.unique(model.tracks.images[order], return_index=True)
+    count = framed = 0
+    for number, rows in zip(numbers.tolist(), np.split(order, starts[1:]), strict=False):
+        if camera := cameras.get(number):
+            count += len(rows)
+            points = model.points[model.tracks.points[rows]]
+            framed += int(camera.framed(points).which.sum())
+    if framed >= FRAMED * count:
+        return ()
+    return (
+        f"{1 - framed / count:.0%} of what {source} says photos show lies outside of them: its "
+        f"poses and points are not of one model, and levels will be blurred; {poses_advice(root)}",
+    )
 
 
 def _views(path: Path, model: SparseModel, image: Pose, place: Path) -> tuple[View, ...]:

@@ -17,15 +17,16 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.files import open_regular
 from gsynopsis.scene.colmap.model import (
     KNOWN,
     NO_POINTS,
+    NO_TRACKS,
     QUATERNION_TOLERANCE,
     Pinhole,
+    Points,
     Pose,
     SparseModel,
     Tracks,
@@ -145,33 +146,12 @@ def read_text(folder: Path, points: bool = True) -> SparseModel:
     texts = [_Lines(folder / "cameras.txt"), _Lines(folder / "images.txt")]
     cameras = _read_cameras(texts[0])
     images, lost = _read_images(texts[1])
-    places, colors = NO_POINTS
+    places, colors, tracks = *NO_POINTS, NO_TRACKS
     if points and (folder / "points3D.txt").is_file():
         texts.append(_Lines(folder / "points3D.txt"))
-        places, colors = _read_points(texts[2])
+        places, colors, tracks = _read_points(texts[2])
     notes = tuple(note for text in texts for note in text.notes)
-    return SparseModel(cameras, images, places, colors, lost, notes)
-
-
-def read_text_tracks(folder: Path) -> Tracks:
-    """The tracks of points3D.txt.
-
-    Raises:
-        SceneError: It is unreadable, or holds what cannot be.
-    """
-    text = _Lines(folder / "points3D.txt")
-    places, images = list[list[float]](), list[list[int]]()
-    for line, content in text.lines:
-        words = content.split()
-        if words:
-            places.append(text.numbers(line, "point xyz", _real, words[1:4]))
-            images.append(text.numbers(line, "track", _whole, words[8::2]))
-    lengths = [len(own) for own in images]
-    return Tracks(
-        np.array(places).reshape(-1, 3),
-        np.array([image for own in images for image in own], np.int64),
-        np.repeat(np.arange(len(places)), lengths),
-    )
+    return SparseModel(cameras, images, places, colors, lost, notes, tracks)
 
 
 def _read_cameras(text: _Lines) -> dict[int, Pinhole]:
@@ -249,9 +229,9 @@ def _is_image(content: str) -> bool:
     return abs(math.hypot(*numbers[1:5]) - 1) <= QUATERNION_TOLERANCE
 
 
-def _read_points(text: _Lines) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+def _read_points(text: _Lines) -> Points:
     """Lines of: id, xyz, rgb, error, track of image and index."""
-    places, colors = list[list[float]](), list[list[int]]()
+    places, colors, images = list[list[float]](), list[list[int]](), list[list[int]]()
     for line, content in text.lines:
         if not content:
             continue
@@ -263,5 +243,8 @@ def _read_points(text: _Lines) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
         if not all(0 <= value <= 255 for value in color):
             raise text.bad(line, "point rgb", color, "0 to 255")
         colors.append(color)
+        images.append(text.numbers(line, "track", _whole, words[8::2]))
     text.finish("points", len(places))
-    return np.array(places).reshape(-1, 3), np.array(colors, np.uint8).reshape(-1, 3)
+    rows = np.repeat(np.arange(len(places)), [len(own) for own in images])
+    tracks = Tracks(np.array([image for own in images for image in own], np.int64), rows)
+    return np.array(places).reshape(-1, 3), np.array(colors, np.uint8).reshape(-1, 3), tracks
