@@ -5,6 +5,7 @@ import gc
 import os
 from collections import namedtuple
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from PIL import Image
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene import photo_files as decoded
+from gsynopsis.scene import photos
 from gsynopsis.scene.camera import STILL
 from gsynopsis.scene.colmap.distortion import Lens, Warp
 from gsynopsis.scene.photo_files import DRAFT, HEAD, SUFFIX, PhotoStore
@@ -63,7 +65,7 @@ def test_a_photo_is_decoded_once_for_all_that_share_a_folder(
     def refuse(*_: object) -> None:
         raise AssertionError("decoded again")
 
-    monkeypatch.setattr(decoded, "load_photo", refuse)
+    monkeypatch.setattr(decoded, "load_shifted", refuse)
     again = PhotoStore(folder)
     assert np.array_equal(again.get(photo, 2.0, SHIFT), expected)
     assert np.array_equal(again.get(copy, 2, SHIFT), expected)
@@ -176,11 +178,29 @@ def test_what_is_expected_is_there_before_it_is_asked_for(
     store.close()
     assert len(files(folder)) == 2
     expected = load_photo(photo, 2, SHIFT)
-    monkeypatch.setattr(decoded, "load_photo", None)
+    monkeypatch.setattr(decoded, "load_shifted", None)
     assert np.array_equal(store.get(photo, 2, SHIFT), expected)
     store.expect(folder / "missing.png", 2, [STILL])
     store.remove()
     assert not folder.exists()
+
+
+def test_a_photo_is_decoded_once_for_all_shifts(
+    photo: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = Mock(wraps=photos.opened_photo)
+    monkeypatch.setattr(photos, "opened_photo", opened)
+    store = PhotoStore(folder)
+    store.expect(photo, 2, [STILL, SHIFT])
+    store.close()
+    assert opened.call_count == 1
+    images = [store.get(photo, factor, shift) for factor in (2, 4) for shift in (STILL, SHIFT)]
+    assert opened.call_count == 2, "the second shift of the other size came with the first"
+    monkeypatch.undo()
+    for (factor, shift), image in zip(
+        [(2, STILL), (2, SHIFT), (4, STILL), (4, SHIFT)], images, strict=True
+    ):
+        assert np.array_equal(image, load_photo(photo, factor, shift))
 
 
 def test_what_a_kill_left_goes_with_the_rest(photo: Path, folder: Path) -> None:

@@ -11,6 +11,7 @@
 #include "clusters.hpp"
 #include "raster/frame.hpp"
 #include "limits.gen.hpp"
+#include "resample.hpp"
 
 namespace gsyn {
 
@@ -198,6 +199,19 @@ void cluster(ReadArray points, ReadArray weights, int64_t count, Array labels) {
     weighted_clusters(own, count, to);
 }
 
+void sample(ReadArray pixels, ReadArray places, Array colors) {
+    Pixels from{};
+    from.data = checked<const uint8_t>(pixels, "pixels", {ANY, ANY, 3});
+    from.height = static_cast<int64_t>(pixels.shape(0));
+    from.width = static_cast<int64_t>(pixels.shape(1));
+    if (!pixels.size()) throw nb::value_error("pixels: none");
+    const float *at = checked<const float>(places, "places", {ANY, 2});
+    const int64_t count = static_cast<int64_t>(places.shape(0));
+    uint8_t *to = checked<uint8_t>(colors, "colors", {count, 3});
+    nb::gil_scoped_release release;
+    sample_cubic(from, at, count, to);
+}
+
 }  // namespace
 }  // namespace gsyn
 
@@ -233,6 +247,9 @@ NB_MODULE(_core, m) {
 
     m.def("weighted_clusters", &cluster, "points"_a, "weights"_a, "count"_a, "labels"_a,
           "Cuts points [G, 3] of weights > 0 into clusters and writes the label of each [G].");
+
+    m.def("sample_cubic", &sample, "pixels"_a, "places"_a, "colors"_a,
+          "Writes the colours [n, 3] of an image [H, W, 3] at places [n, 2], by cubic convolution.");
 
     bind_training(m);
     bind_heads(m);

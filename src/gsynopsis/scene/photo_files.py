@@ -26,12 +26,12 @@ from numpy.typing import NDArray
 from gsynopsis.errors import InputError, SceneError
 from gsynopsis.files import clear_drafts, drafted, open_regular
 from gsynopsis.scene.camera import STILL, Shift, scaled_size
-from gsynopsis.scene.photos import AS_STORED, PhotoForm, load_photo
+from gsynopsis.scene.photos import AS_STORED, PhotoForm, load_photo, load_shifted
 from gsynopsis.scene.stored import QUARTER_TURNS, read_header
 
 MAGIC = b"gsynopsis photo2"
-CONVERSION = 2
-"""Changes with what `load_photo` makes of the same bytes; 2: colour profiles are followed."""
+CONVERSION = 3
+"""Changes with what `load_photo` makes of the same bytes; 3: distortion is removed exactly."""
 HEAD = struct.Struct("<16s2I32s")
 SUFFIX, DRAFT = ".photo", ".draft"
 CHECK = 32
@@ -66,6 +66,7 @@ class PhotoStore:
         self._failed = failed
         self._digests: dict[Path, tuple[int, int, str]] = {}
         self._whole: dict[str, tuple[int, int]] = {}
+        self._shifts: tuple[Shift, ...] = ()
         self._lock = threading.Lock()
         self._reader: ThreadPoolExecutor | None = None
         self._ahead: Future[None] | None = None
@@ -79,25 +80,40 @@ class PhotoStore:
             SceneError: The pixel data cannot be decoded.
         """
         try:
-            file = self.folder / self._name(path, factor, shift, form)
+            kept = self._kept(path, factor, shift, form)
         except OSError:  # the photo is gone: to say so is the decoder's business
             return load_photo(path, factor, shift, form)
-        sides = self._whole.get(file.name) or _sides(path, factor, form)
-        pixels = self._mapped(file, sides)
-        if pixels is None:
-            pixels = load_photo(path, factor, shift, form)
-            if self.failure is None and self._write(file, pixels):
-                mapped = self._mapped(file, sides)
-                return pixels if mapped is None else mapped
-        return pixels
+        return self._made(path, factor, shift, form) if kept is None else kept
+
+    def _made(self, path: Path, factor: float, shift: Shift, form: PhotoForm) -> NDArray[np.uint8]:
+        """The image, now in its file; so are those at the other expected shifts.
+
+        They are made of one decoding, which for a large photo, or one with distortion, takes most
+        of the time.
+        """
+        others = [
+            other
+            for other in self._shifts
+            if other != shift and self._kept(path, factor, other, form) is None
+        ]
+        shifts = [shift, *others] if self.failure is None else [shift]
+        images = list[NDArray[np.uint8]]()
+        for own, pixels in zip(shifts, load_shifted(path, factor, shifts, form), strict=True):
+            file = self.folder / self._name(path, factor, own, form)
+            written = self.failure is None and self._write(file, pixels)
+            kept = self._kept(path, factor, own, form) if written else None
+            images.append(pixels if kept is None else kept)
+        return images[0]
 
     def expect(
         self, path: Path, factor: float, shifts: Sequence[Shift], form: PhotoForm = AS_STORED
     ) -> None:
         """Make a photo's files and read them, in a thread of its own, before they are asked for.
 
-        Returns at once; while the thread is busy with another photo nothing is done.
+        Returns at once; while the thread is busy with another photo nothing is done, but that
+        from now on each photo is made at all of these shifts together.
         """
+        self._shifts = tuple(shifts)
         if self.failure is not None or (self._ahead is not None and not self._ahead.done()):
             return
         if self._reader is None:
@@ -147,6 +163,17 @@ class PhotoStore:
         found = digest.hexdigest()
         self._digests[path] = now.st_size, now.st_mtime_ns, found
         return found
+
+    def _kept(
+        self, path: Path, factor: float, shift: Shift, form: PhotoForm
+    ) -> NDArray[np.uint8] | None:
+        """The image mapped from its file; None without a whole one.
+
+        Raises:
+            OSError: The photo is gone.
+        """
+        file = self.folder / self._name(path, factor, shift, form)
+        return self._mapped(file, self._whole.get(file.name) or _sides(path, factor, form))
 
     def _mapped(self, file: Path, sides: tuple[int, int]) -> NDArray[np.uint8] | None:
         """A file's pixels, so wide and high; None if there is none, or if it is not whole."""

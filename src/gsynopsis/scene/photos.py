@@ -19,7 +19,8 @@ from PIL import Image, ImageOps
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.camera import STILL, Shift, scaled_size
-from gsynopsis.scene.colmap.distortion import Warp, mesh_of
+from gsynopsis.scene.colmap.distortion import Warp
+from gsynopsis.scene.resample import resample
 from gsynopsis.scene.spheres import Cut, cut_view
 from gsynopsis.scene.stored import (
     AVIF,
@@ -122,6 +123,18 @@ def load_photo(
     Raises:
         SceneError: The pixel data cannot be decoded.
     """
+    (pixels,) = load_shifted(path, factor, (shift,), form)
+    return pixels
+
+
+def load_shifted(
+    path: Path, factor: float, shifts: Sequence[Shift], form: PhotoForm = AS_STORED
+) -> Iterator[NDArray[np.uint8]]:
+    """The images of `load_photo` at several shifts; the photo is decoded once, at the first.
+
+    Raises:
+        SceneError: The pixel data cannot be decoded.
+    """
     with opened_photo(path) as stored, DECODING.of(stored):
         plain = in_8_bits(stored)
         turned = ImageOps.exif_transpose(plain) if form.turned else plain
@@ -129,9 +142,11 @@ def load_photo(
             image = _formed(_as_mask(turned, form.mask), form)
         else:
             image = _formed(in_srgb(_as_rgb(turned), stored.info.get("icc_profile")), form)
-        pixels = _pixels(_resampled(image, scaled_size(*image.size, factor), shift))
-    pixels.flags.writeable = False
-    return pixels
+        size = scaled_size(*image.size, factor)
+        for shift in shifts:
+            pixels = _pixels(_resampled(image, size, shift))
+            pixels.flags.writeable = False
+            yield pixels
 
 
 def _formed(image: Image.Image, form: PhotoForm) -> Image.Image:
@@ -140,16 +155,10 @@ def _formed(image: Image.Image, form: PhotoForm) -> Image.Image:
         image = image.resize(form.size or image.size, Image.Resampling.BILINEAR)
     if form.warp is None:
         return image
-    if isinstance(form.warp, Cut):
-        return Image.fromarray(cut_view(np.asarray(image), form.warp))
-    mesh, size = mesh_of(form.warp), form.warp.pinhole[:2]
-    how = (Image.Transform.MESH, mesh, Image.Resampling.BICUBIC)
-    # In floats, for Pillow cuts 8 bits off instead of rounding them.
-    bands = list[Image.Image]()
-    for band in image.split():
-        exact = np.asarray(band.convert("F").transform(size, *how)).clip(0, 255)
-        bands.append(Image.fromarray(np.rint(exact, out=exact).astype(np.uint8)))
-    return Image.merge(image.mode, bands)
+    pixels, warp = np.asarray(image), form.warp
+    if isinstance(warp, Cut):
+        return Image.fromarray(cut_view(pixels, warp))
+    return Image.fromarray(resample(pixels, warp.pinhole[:2], warp.source))
 
 
 def _resampled(image: Image.Image, size: tuple[int, int], shift: Shift) -> Image.Image:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+
+from gsynopsis.scene.resample import resample
 
 VIEWS = 8
 """Views of a panorama: six around, 60 degrees apart, then up and down."""
@@ -17,10 +18,6 @@ ANGLE = np.radians(95.0)
 """Across and down of a view: so neighbours overlap, and no direction is left out."""
 SMALLEST = 16
 """Least side of a view, pixels."""
-ROWS = 64
-"""Rows of a view that are resampled at a time."""
-SHARP = -0.5
-"""Parameter of Keys' cubic convolution, as Pillow's BICUBIC has it."""
 Float64 = NDArray[np.float64]
 
 
@@ -94,30 +91,4 @@ def cut_view(pixels: NDArray[np.uint8], cut: Cut) -> NDArray[np.uint8]:
     over = np.roll(pixels, width // 2, axis=1)
     tall = np.concatenate([over[1::-1], pixels, over[:-3:-1]])
     whole = np.concatenate([tall[:, -2:], tall, tall[:, :2]], axis=1)
-    stride = width + 4
-    # The four pixels from each one on, red, green and blue of each, without a copy.
-    fours = sliding_window_view(whole.reshape(-1), 12)[::3]
-    wide, high = cut.pinhole[:2]
-    view = np.empty((high, wide, 3), np.uint8)
-    for top in range(0, high, ROWS):
-        rows = np.arange(top, min(top + ROWS, high))
-        grid = np.stack(np.meshgrid(np.arange(wide) + 0.5, rows + 0.5), axis=-1).reshape(-1, 2)
-        at = cut.source(grid.astype(np.float64)) - 0.5
-        base = np.floor(at)
-        across, down = (_weights((at - base)[:, k].astype(np.float32)) for k in (0, 1))
-        corner = ((base[:, 1] + 1) * stride + base[:, 0] + 1).astype(np.int64)
-        lines = np.zeros((len(at), 12), np.float32)
-        for j in range(4):
-            lines += fours[corner + j * stride] * down[:, j : j + 1]
-        total = np.einsum("nkc,nk->nc", lines.reshape(-1, 4, 3), across)
-        part = np.rint(total.clip(0, 255)).astype(np.uint8)
-        view[top : top + len(rows)] = part.reshape(len(rows), wide, 3)
-    return view
-
-
-def _weights(t: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Weights of the four pixels around places that lie `t` beyond the second [n, 4]."""
-    near, far = np.stack([t, 1 - t], axis=1), np.stack([1 + t, 2 - t], axis=1)
-    inner = ((SHARP + 2) * near - (SHARP + 3)) * near**2 + 1
-    outer = SHARP * (((far - 5) * far + 8) * far - 4)
-    return np.stack([outer[:, 0], inner[:, 0], inner[:, 1], outer[:, 1]], axis=1)
+    return resample(whole, cut.pinhole[:2], lambda places: cut.source(places) + 2)

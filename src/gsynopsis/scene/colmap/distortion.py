@@ -24,8 +24,6 @@ STEPS = 30
 """Most iterations of Newton's method."""
 CLOSE = 1e-9
 """Step at which it ends, focal lengths."""
-CELL = 16
-"""Pixels a side of the cells inside which resampling is linear."""
 GRID = 64
 """Places along each side at which a lens is tested for folding."""
 
@@ -130,22 +128,6 @@ class Warp:
         bent = self.lens.distorted((places - (cx, cy)) / (fx, fy))
         _, _, fx, fy, cx, cy = self.photo
         return bent * (fx, fy) + (cx, cy)
-
-
-@lru_cache(maxsize=16)
-def mesh_of(warp: Warp) -> list[tuple[tuple[int, int, int, int], tuple[float, ...]]]:
-    """Cells of the pinhole image with their corners in the photo, as Pillow's MESH has them."""
-    width, height = warp.pinhole[:2]
-    across, down = ([*range(0, side, CELL), side] for side in (width, height))
-    grid = np.stack(np.meshgrid(across, down), axis=-1).astype(np.float64)
-    at = warp.source(grid.reshape(-1, 2)).reshape(grid.shape)
-    # Upper left, lower left, lower right, upper right.
-    quads = np.concatenate([at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]], axis=-1).tolist()
-    return [
-        ((across[i], down[j], across[i + 1], down[j + 1]), tuple(quad))
-        for j, row in enumerate(quads)
-        for i, quad in enumerate(row)
-    ]
 
 
 def lens_of(model: str, params: Sequence[float]) -> tuple[tuple[float, ...], Lens]:
@@ -290,7 +272,8 @@ def _polynomial(factors: tuple[float, ...], r2: NDArray[np.float64]) -> NDArray[
     """The sum 1 + k1 r² + k2 r⁴ and so on."""
     total = np.zeros_like(r2)
     for factor in reversed(factors):
-        total = (total + factor) * r2
+        total += factor
+        total *= r2
     return 1 + total
 
 
