@@ -3,10 +3,13 @@
     python -m research suites/strongest.toml --data DATA --out STRONGEST
     python -m research suites/strongest_full_size.toml --data DATA --out FULL
     python -m benchmarks.train.rivals STRONGEST FULL
+    python -m benchmarks.train.rivals --at-size LATER
 
 Levels of ours and of each rival on each scene, dB in MiB, what ours needs beside it, and a
 drawing. Rows go into docs/results/rivals.csv; without a folder the page is written again from
 these. suites/rivals.toml has all other methods and takes a day.
+
+Two scenes at size were made at a later commit: rivals_at_size.csv, a part of its own.
 """
 
 from collections.abc import Sequence
@@ -24,6 +27,7 @@ from benchmarks.train.cells import (
     by_scene,
     finished_cells,
     level_cell,
+    levels_text,
     made_by,
     scene_head,
 )
@@ -40,6 +44,7 @@ from research.suites.table import Curve, curve_of, spread_of
 
 PAGE = RESULTS / "quality.md"
 ROWS, CURVES = (RESULTS / f"rivals.{kind}" for kind in ("csv", "svg"))
+AT_SIZE = RESULTS / "rivals_at_size.csv"
 TEXT = ("scene", "method", "split", "version", "commit", "machine")
 OURS = "ours"
 NAMES = {
@@ -67,9 +72,11 @@ class Options:
 
     Attributes:
         folders: Folders of suites, scenes of one name in one of them; none: the page alone.
+        at_size: The same of scenes at size that were made later.
     """
 
     folders: Positional[tuple[Path, ...]] = ()
+    at_size: tuple[Path, ...] = ()
 
 
 def worst_ratio(ours: Points, other: Points) -> float | None:
@@ -157,6 +164,25 @@ def summary(rows: Sequence[Row]) -> str:
     return table_of(["scene", "method", *heads], lines)
 
 
+def sentences(rows: Sequence[Row]) -> str:
+    """Scenes that were made later, as a list: levels of each method, bytes of ours against it."""
+    lines = list[str]()
+    for own in by_scene(rows).values():
+        each = list[str]()
+        for name, called in NAMES.items():
+            if some := [row for row in own if row["method"] == name]:
+                rate = "" if name == OURS else f" (bytes of ours: {short_rate(own, name)})"
+                each.append(f"{called} {levels_text(some)} MiB{rate}")
+        lines.append(f"* {scene_head(own)}: {'; '.join(each)}.")
+    return "\n".join(lines)
+
+
+def gather(folders: Sequence[Path], rows: Path) -> None:
+    """Copy the rows of finished cells."""
+    cells = [own for folder in folders for _, own in finished_cells(folder)]
+    write_rows(rows, [row for own in cells for row in own])
+
+
 def draw(rows: Sequence[Row]) -> None:
     """A panel a scene: quality over bytes."""
     scenes = by_scene(rows)
@@ -181,15 +207,19 @@ def main() -> None:
     """Gather, draw, write."""
     options = tyro.cli(Options, description=__doc__)
     if options.folders:
-        cells = [rows for folder in options.folders for _, rows in finished_cells(folder)]
-        write_rows(ROWS, [row for rows in cells for row in rows])
-    rows = stored_rows(ROWS, TEXT)
-    made = made_by(rows)  # before anything is written
+        gather(options.folders, ROWS)
+    if options.at_size:
+        gather(options.at_size, AT_SIZE)
+    rows, later = stored_rows(ROWS, TEXT), stored_rows(AT_SIZE, TEXT)
+    made, made_later = made_by(rows), made_by(later)  # before anything is written
     draw(rows)
     seeds = ", ".join(str(seed) for seed in sorted({row["seed"] for row in rows}))
     photos = "; ".join(scene_head(own) for own in by_scene(rows).values())
     where = f"![Quality over bytes](rivals.svg)\n\n{photos}. Seeds: {seeds}; {made}."
     put(PAGE, __file__, f"{summary(rows)}\n\n{where}")
+    seeds = ", ".join(str(seed) for seed in sorted({row["seed"] for row in later}))
+    text = f"{sentences(later)}\n\nSeeds: {seeds}; {made_later}."
+    put(PAGE, __file__, text, "at size")
     print(PAGE, CURVES, sep="\n")
 
 

@@ -15,6 +15,7 @@ from gsynopsis.training.levels.selection import (
     coverage_weighted_scores,
     drop_empty_anchors,
     nested_masks,
+    octaves_of,
     prune_unseen_slots,
     rank_levels,
     rank_masks,
@@ -120,19 +121,44 @@ def test_spread_scores_keep_an_anchor_in_every_region() -> None:
     far = torch.tensor([[400, 0, 0], [0, 400, 0], [0, 0, 400]])
     lattice = torch.cat([near, far])
     scores = torch.cat([torch.linspace(1.0, 2.0, len(near)), torch.full((3,), 0.5)])
-    best = torch.topk(
-        coverage_weighted_scores(lattice, scores, coverage_cell(lattice, 0.05)), 24
-    ).indices
+    octaves = torch.zeros(len(lattice), dtype=torch.int64)
+    cell = coverage_cell(lattice, octaves, 0.05)
+    best = torch.topk(coverage_weighted_scores(lattice, octaves, scores, cell), 24).indices
     assert {216, 217, 218} <= set(best.tolist())
     assert int(best[0]) == 215  # the best of a cell keeps its score
     assert not (torch.topk(scores, 24).indices >= 216).any()
 
 
 def test_spread_scores_of_one_anchor_and_of_equal_ones() -> None:
-    one = coverage_weighted_scores(torch.zeros(1, 3, dtype=torch.int64), torch.tensor([3.0]), 2)
+    lattice = torch.zeros(3, 3, dtype=torch.int64)
+    none = torch.zeros(3, dtype=torch.int64)
+    one = coverage_weighted_scores(lattice[:1], none[:1], torch.tensor([3.0]), 2)
     assert one.tolist() == [3.0]
-    same = coverage_weighted_scores(torch.zeros(3, 3, dtype=torch.int64), torch.ones(3), 2)
+    same = coverage_weighted_scores(lattice, none, torch.ones(3), 2)
     assert same.tolist() == pytest.approx([1.0, 2**-0.5, 3**-0.5])
+
+
+def test_octaves_count_doublings_of_the_cameras_extent() -> None:
+    places = torch.tensor([[1.0, 2, 3], [2.9, 2, 3], [5.1, 2, 3], [1, -6.1, 3], [1, 2, 1e30]])
+    octaves = octaves_of(places, torch.tensor([1.0, 2, 3]), 2.0)
+    assert octaves.tolist() == [0, 0, 1, 2, 16]
+
+
+def test_far_anchors_share_cells_as_wide_as_they_are_far() -> None:
+    near = torch.cartesian_prod(*[torch.arange(4)] * 3)
+    lattice = torch.cat([near, near * 16 + 640, -(near * 16) - 640])
+    octaves = torch.tensor([0, 4, 4]).repeat_interleave(len(near))
+    scores = coverage_weighted_scores(lattice, octaves, torch.ones(len(lattice)), 2)
+    apart = scores.view(3, -1).sort(dim=1).values
+    assert torch.equal(apart[0], apart[1])
+    assert torch.equal(apart[0], torch.arange(8, 0, -1).rsqrt().repeat_interleave(8))
+    # In cells of one width each of the far ones has one of its own.
+    alike = coverage_weighted_scores(lattice, 0 * octaves, torch.ones(len(lattice)), 2)
+    assert (alike.view(3, -1)[1:] == 1).all()
+    # Wider than the lattice, on either side of it.
+    edge = torch.tensor([[-(1 << 20)] * 3, [(1 << 20) - 1] * 3])
+    wide = coverage_weighted_scores(edge, torch.tensor([16, 16]), torch.ones(2), 1 << 20)
+    assert wide.tolist() == [1, 1]
 
 
 def test_own_slots_come_before_borrowed_ones_and_dead_ones_never() -> None:

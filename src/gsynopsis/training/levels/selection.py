@@ -10,13 +10,14 @@ First pure functions of tensors, then those that go over the training views.
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from gsynopsis.config import Joint
 from gsynopsis.model.anchors import AnchorModel
 from gsynopsis.model.build import model_to_levels
-from gsynopsis.model.lattice import lattice_keys
+from gsynopsis.model.lattice import KEY_LIMIT, lattice_keys
 from gsynopsis.render.base import Gaussians
 from gsynopsis.render.measures import blend_weights, removal_effects
 from gsynopsis.scene.camera import Camera
@@ -29,6 +30,8 @@ from gsynopsis.training.view_step import background_of
 
 COVERAGE = 0.125
 """Cells per anchor of the full model; the coarsest level keeps the best of each."""
+MOST_OCTAVES = 16
+"""Beyond as many doublings of the cameras' extent cells grow no more."""
 
 
 def rank_masks(scores: Sequence[Tensor], fractions: Sequence[float], slots: int) -> list[Tensor]:
@@ -103,22 +106,35 @@ def largest_multipliers(effects: Tensor, cost: float) -> Tensor:
     return torch.minimum(effects, (best / room).amax(dim=1, keepdim=True))
 
 
-def coverage_cell(lattice: Tensor, share: float) -> int:
-    """Side of the cells, in voxels, of which there are at most `share` per anchor, in (0, 1].
+def octaves_of(places: Tensor, middle: Tensor, extent: float) -> Tensor:
+    """Doublings of the cameras' extent that each anchor lies beyond, int64 [N], ≥ 0.
+
+    Args:
+        places: Of anchors, [N, 3].
+        middle: Mean place of the training cameras, [3].
+        extent: Their reach, world units.
+    """
+    away = (places - middle).norm(dim=1) / extent
+    return away.clamp(1, 2**MOST_OCTAVES).log2().floor().long()
+
+
+def coverage_cell(lattice: Tensor, octaves: Tensor, share: float) -> int:
+    """Side of the nearest cells, in voxels, with at most `share` cells per anchor, in (0, 1].
 
     Args:
         lattice: int64 [N, 3].
+        octaves: Of each anchor, int64 [N], see `octaves_of`.
         share: Cells grow until there are no more.
     """
     size = 1
-    while size < 1 << 20:
+    while size < KEY_LIMIT:
         size += max(1, size // 8)
-        if len(torch.unique(_cells(lattice, size))) <= share * len(lattice):
+        if len(torch.unique(_cells(lattice, octaves, size))) <= share * len(lattice):
             break
     return size
 
 
-def coverage_weighted_scores(lattice: Tensor, scores: Tensor, size: int) -> Tensor:
+def coverage_weighted_scores(lattice: Tensor, octaves: Tensor, scores: Tensor, size: int) -> Tensor:
     """Scores divided by the root of each anchor's place within its cell: no region goes empty.
 
     A plain ranking keeps the dense, near part of a scene and leaves far walls without anchors, one
@@ -127,10 +143,11 @@ def coverage_weighted_scores(lattice: Tensor, scores: Tensor, size: int) -> Tens
 
     Args:
         lattice: int64 [N, 3].
+        octaves: Of each anchor, int64 [N], see `octaves_of`.
         scores: [N], positive.
-        size: Of the cells, see `coverage_cell`.
+        size: Of the nearest cells, see `coverage_cell`.
     """
-    cell = _cells(lattice, size)
+    cell = _cells(lattice, octaves, size)
     by_score = torch.sort(scores, descending=True, stable=True).indices
     order = by_score[torch.sort(cell[by_score], stable=True).indices]
     place = torch.arange(len(order), device=order.device)
@@ -142,9 +159,14 @@ def coverage_weighted_scores(lattice: Tensor, scores: Tensor, size: int) -> Tens
     return scores / (1 + within).sqrt()
 
 
-def _cells(lattice: Tensor, size: int) -> Tensor:
-    """The cell of each anchor, int64 [N]."""
-    return lattice_keys(torch.div(lattice, size, rounding_mode="floor"))
+def _cells(lattice: Tensor, octaves: Tensor, size: int) -> Tensor:
+    """The cell of each anchor, int64 [N]: twice as wide with each octave.
+
+    Cells of one width would let hills far away, of few pixels, count for as much as a house before
+    the cameras.
+    """
+    side = (size << octaves)[:, None]
+    return lattice_keys((lattice.div(side, rounding_mode="floor") * side).clamp(min=-KEY_LIMIT))
 
 
 def slot_scores(effects: Sequence[Tensor], masks: Sequence[Tensor]) -> list[Tensor]:
@@ -204,8 +226,12 @@ def rank_levels(state: TrainState, levels: Joint, later: int = 0) -> None:
     scores = [(effects * shown).sum(dim=1)] * len(fractions)
     progress = state.progress
     # Found once: anchors that this ranking drops count at the next one too.
-    progress.coverage_cell = progress.coverage_cell or coverage_cell(model.lattice, COVERAGE)
-    scores[0] = coverage_weighted_scores(model.lattice, scores[0], progress.coverage_cell)
+    scene = state.context.scene
+    middle = torch.tensor(np.mean([scene.views[v].camera.position for v in scene.train], axis=0))
+    octaves = octaves_of(model.placed()[0], middle.to(effects), scene.extent)
+    cell = progress.coverage_cell or coverage_cell(model.lattice, octaves, COVERAGE)
+    scores[0] = coverage_weighted_scores(model.lattice, octaves, scores[0], cell)
+    progress.coverage_cell = cell
     masks = rank_masks(scores, fractions, model.slots)
     packer = state.context.size_model
     if levels.level_mib and packer is not None:
