@@ -196,6 +196,9 @@ def test_a_photo_is_decoded_once_for_all_shifts(
     assert opened.call_count == 1
     images = [store.get(photo, factor, shift) for factor in (2, 4) for shift in (STILL, SHIFT)]
     assert opened.call_count == 2, "the second shift of the other size came with the first"
+    before = len(files(folder))
+    store.get(photo, 4, (0.25, 0.25))
+    assert len(files(folder)) == before + 1, "a shift that nobody expects comes alone"
     monkeypatch.undo()
     for (factor, shift), image in zip(
         [(2, STILL), (2, SHIFT), (4, STILL), (4, SHIFT)], images, strict=True

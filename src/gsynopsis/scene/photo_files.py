@@ -86,17 +86,14 @@ class PhotoStore:
         return self._made(path, factor, shift, form) if kept is None else kept
 
     def _made(self, path: Path, factor: float, shift: Shift, form: PhotoForm) -> NDArray[np.uint8]:
-        """The image, now in its file; so are those at the other expected shifts.
+        """The image, now in its file; with one of the expected shifts, those at the others too.
 
         They are made of one decoding, which for a large photo, or one with distortion, takes most
         of the time.
         """
-        others = [
-            other
-            for other in self._shifts
-            if other != shift and self._kept(path, factor, other, form) is None
-        ]
-        shifts = [shift, *others] if self.failure is None else [shift]
+        together = self._shifts if shift in self._shifts and self.failure is None else ()
+        others = [other for other in together if other != shift]
+        shifts = [shift, *(o for o in others if self._kept(path, factor, o, form) is None)]
         images = list[NDArray[np.uint8]]()
         for own, pixels in zip(shifts, load_shifted(path, factor, shifts, form), strict=True):
             file = self.folder / self._name(path, factor, own, form)
