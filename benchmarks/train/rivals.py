@@ -147,19 +147,22 @@ def short_rate(rows: Sequence[Row], method: str) -> str:
     return f"{told}, {max(worst):.2f}{beyond}{some}"
 
 
+def by_method(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Rows of each method that there is, methods in the order of their names."""
+    every = {name: [row for row in rows if row["method"] == name] for name in NAMES}
+    return {name: some for name, some in every.items() if some}
+
+
 def summary(rows: Sequence[Row]) -> str:
     """Levels of ours and of each rival on each scene, and bytes of ours against it."""
     lines, numbers = list[list[str]](), range(FINEST + 1)
     for scene, own in by_scene(rows).items():
-        for name, called in NAMES.items():
-            some = [row for row in own if row["method"] == name]
-            if not some:
-                continue
+        for name, some in by_method(own).items():
             ends = [r["psnr_uncoded"] for r in some if r["level"] == FINEST and r["psnr_uncoded"]]
             before = f"{mean(ends):.2f}" if ends else ""
             levels = [level_cell([r for r in some if r["level"] == k]) for k in numbers]
             rate = "" if name == OURS else short_rate(own, name)
-            lines.append([scene if name == OURS else "", called, *levels, before, rate])
+            lines.append([scene if name == OURS else "", NAMES[name], *levels, before, rate])
     heads = [*(f"L{k}" for k in numbers), "before rounding", "bytes of ours"]
     return table_of(["scene", "method", *heads], lines)
 
@@ -169,12 +172,17 @@ def sentences(rows: Sequence[Row]) -> str:
     lines = list[str]()
     for own in by_scene(rows).values():
         each = list[str]()
-        for name, called in NAMES.items():
-            if some := [row for row in own if row["method"] == name]:
-                rate = "" if name == OURS else f" (bytes of ours: {short_rate(own, name)})"
-                each.append(f"{called} {levels_text(some)} MiB{rate}")
+        for name, some in by_method(own).items():
+            rate = "" if name == OURS else f" (bytes of ours: {short_rate(own, name)})"
+            each.append(f"{NAMES[name]} {levels_text(some)} MiB{rate}")
         lines.append(f"* {scene_head(own)}: {'; '.join(each)}.")
     return "\n".join(lines)
+
+
+def origin_of(rows: Sequence[Row]) -> str:
+    """Seeds, machine and commit of rows, a sentence."""
+    seeds = ", ".join(str(seed) for seed in sorted({row["seed"] for row in rows}))
+    return f"Seeds: {seeds}; {made_by(rows)}."
 
 
 def gather(folders: Sequence[Path], rows: Path) -> None:
@@ -211,15 +219,12 @@ def main() -> None:
     if options.at_size:
         gather(options.at_size, AT_SIZE)
     rows, later = stored_rows(ROWS, TEXT), stored_rows(AT_SIZE, TEXT)
-    made, made_later = made_by(rows), made_by(later)  # before anything is written
+    origins = [origin_of(some) for some in (rows, later)]  # before anything is written
     draw(rows)
-    seeds = ", ".join(str(seed) for seed in sorted({row["seed"] for row in rows}))
     photos = "; ".join(scene_head(own) for own in by_scene(rows).values())
-    where = f"![Quality over bytes](rivals.svg)\n\n{photos}. Seeds: {seeds}; {made}."
+    where = f"![Quality over bytes](rivals.svg)\n\n{photos}. {origins[0]}"
     put(PAGE, __file__, f"{summary(rows)}\n\n{where}")
-    seeds = ", ".join(str(seed) for seed in sorted({row["seed"] for row in later}))
-    text = f"{sentences(later)}\n\nSeeds: {seeds}; {made_later}."
-    put(PAGE, __file__, text, "at size")
+    put(PAGE, __file__, f"{sentences(later)}\n\n{origins[1]}", "at size")
     print(PAGE, CURVES, sep="\n")
 
 

@@ -8,11 +8,11 @@ namespace {
 
 // Weights of the four pixels around a place `t` in [0, 1] beyond the second.
 void weigh(float t, float *weights) {
-    const float near = t, far = 1 - t;
-    weights[0] = -0.5f * near * far * far;
-    weights[1] = (1.5f * near - 2.5f) * near * near + 1;
-    weights[2] = (1.5f * far - 2.5f) * far * far + 1;
-    weights[3] = -0.5f * far * near * near;
+    const float rest = 1 - t;
+    weights[0] = -0.5f * t * rest * rest;
+    weights[1] = (1.5f * t - 2.5f) * t * t + 1;
+    weights[2] = (1.5f * rest - 2.5f) * rest * rest + 1;
+    weights[3] = -0.5f * rest * t * t;
 }
 
 // The first of the four along an axis, from -2 to size - 1, and their weights.

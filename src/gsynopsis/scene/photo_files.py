@@ -17,6 +17,7 @@ import struct
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -81,9 +82,9 @@ class PhotoStore:
         """
         try:
             kept = self._kept(path, factor, shift, form)
+            return self._made(path, factor, shift, form) if kept is None else kept
         except OSError:  # the photo is gone: to say so is the decoder's business
             return load_photo(path, factor, shift, form)
-        return self._made(path, factor, shift, form) if kept is None else kept
 
     def _made(self, path: Path, factor: float, shift: Shift, form: PhotoForm) -> NDArray[np.uint8]:
         """The image, now in its file; with one of the expected shifts, those at the others too.
@@ -94,13 +95,13 @@ class PhotoStore:
         together = self._shifts if shift in self._shifts and self.failure is None else ()
         others = [other for other in together if other != shift]
         shifts = [shift, *(o for o in others if self._kept(path, factor, o, form) is None)]
-        images = list[NDArray[np.uint8]]()
-        for own, pixels in zip(shifts, load_shifted(path, factor, shifts, form), strict=True):
-            file = self.folder / self._name(path, factor, own, form)
-            written = self.failure is None and self._write(file, pixels)
-            kept = self._kept(path, factor, own, form) if written else None
-            images.append(pixels if kept is None else kept)
-        return images[0]
+        images = load_shifted(path, factor, shifts, form)
+        asked = next(images)
+        for own, pixels in zip(shifts, chain([asked], images), strict=True):
+            if self.failure is None:
+                self._write(self.folder / self._name(path, factor, own, form), pixels)
+        kept = self._kept(path, factor, shift, form)
+        return asked if kept is None else kept
 
     def expect(
         self, path: Path, factor: float, shifts: Sequence[Shift], form: PhotoForm = AS_STORED
@@ -192,8 +193,8 @@ class PhotoStore:
             self._whole[file.name] = sides
         return pixels
 
-    def _write(self, file: Path, pixels: NDArray[np.uint8]) -> bool:
-        """Write a photo's file; True once it is complete."""
+    def _write(self, file: Path, pixels: NDArray[np.uint8]) -> None:
+        """Write a photo's file; where that fails, no other is written."""
         height, width = pixels.shape[:2]
         try:
             if shutil.disk_usage(self.folder).free < pixels.nbytes + ROOM:
@@ -203,9 +204,8 @@ class PhotoStore:
                 opened.write(pixels.data)
         except OSError as error:
             self._fail(error)
-            return False
-        self._whole[file.name] = (width, height)
-        return True
+        else:
+            self._whole[file.name] = (width, height)
 
     def _fail(self, error: OSError) -> None:
         with self._lock:

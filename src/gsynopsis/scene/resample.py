@@ -31,6 +31,6 @@ def resample(pixels: NDArray[np.uint8], size: tuple[int, int], source: Source) -
         strip = image[top : top + ROWS]
         rows = np.arange(top, top + len(strip)) + 0.5
         grid = np.stack(np.meshgrid(np.arange(width) + 0.5, rows), axis=-1).reshape(-1, 2)
-        places = source(grid.astype(np.float64)).astype(np.float32)
+        places = source(np.asarray(grid, np.float64)).astype(np.float32)
         _core.sample_cubic(pixels, places, strip.reshape(-1, 3))
     return image
