@@ -9,7 +9,7 @@ Levels of ours and of each rival on each scene, dB in MiB, what ours needs besid
 drawing. Rows go into docs/results/rivals.csv; without a folder the page is written again from
 these. suites/rivals.toml has all other methods and takes a day.
 
-Two scenes at size were made at a later commit: rivals_at_size.csv, a part of its own.
+Scenes at size of a later commit: rivals_at_size.csv, a part of its own.
 """
 
 from collections.abc import Sequence
