@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from gsynopsis.cameras.found import Search
+from gsynopsis.cameras.placement import subject_of
+from gsynopsis.cameras.up import guesses
 from gsynopsis.cameras.viewpoints import for_splats
 from gsynopsis.formats.axes import quaternion_of, turned
 from gsynopsis.formats.readers.base import SplatFile
@@ -55,6 +57,14 @@ def test_up_is_found_in_a_world_that_is_tilted(name: str) -> None:
 def test_an_object_without_ground_keeps_the_custom_of_its_format() -> None:
     found = for_splats(SplatFile((SCENES["hollow sphere"]().gaussians,), up=CUSTOM), count=4)
     assert found.up == CUSTOM
+
+
+@pytest.mark.parametrize("name", ["hollow sphere", "opaque specks", "thick shell"])
+def test_what_lies_across_no_axis_more_than_by_chance_is_no_reason_to_turn(name: str) -> None:
+    """A person's bust lay on its back, as a few more of its splats than by chance stood along z."""
+    gaussians = SCENES[name]().gaussians
+    (only,) = guesses(gaussians, subject_of(gaussians, CUSTOM), CUSTOM)
+    assert tuple(only.up) == CUSTOM
 
 
 @pytest.mark.parametrize("up", [(0.0, 1.0, 0.0), (0.0, 0.0, -1.0)])

@@ -48,6 +48,9 @@ STEEPLY, BELOW, MOST_BELOW = 0.4, 3.0, 0.4
 at most."""
 OPPOSITE = 0.15
 """By how much the opposite of the custom is less likely, where photos look up by the custom."""
+EVIDENCE = 0.1
+"""Share of surfaces across an axis beyond those of chance, weighed as in the score, from which on
+these speak for it against the custom."""
 CLOSE, MOST = 0.35, 4
 """By how much a guess may be worse than the best, and how many others than the custom there are."""
 
@@ -77,16 +80,17 @@ def guesses(gaussians: PlainGaussians, subject: Subject, custom: Up) -> list[Gue
 
     axes = [*_snapped(usual), *_peaks(surfaces)]
     found = [guessed(up) for axis in axes for up in (axis, -axis)]
+    # A round thing has walls and tops about any axis, a little more about some: no reason to turn.
+    found = [each for each in found if each.photos > 0 or _across(surfaces, each.up) > EVIDENCE]
     if usual @ photos < 0:
         # Some programs write COLMAP's worlds as they are into formats whose custom is another.
         opposite = guessed(-usual, -usual)
         found.append(opposite._replace(score=opposite.score - OPPOSITE))
-    found.sort(key=lambda each: -each.score)
-    stays = guessed(usual)
-    out = [stays]
-    for guess in found:
-        good = guess.score > max(found[0].score, stays.score) - CLOSE
-        if good and all(guess.up @ other.up < np.cos(APART) for other in out[1:]):
+    out = [guessed(usual)]
+    least = max(guess.score for guess in (*out, *found)) - CLOSE
+    for guess in sorted(found, key=lambda each: -each.score):
+        new = all(guess.up @ other.up < np.cos(APART) for other in out[1:])
+        if new and guess.score > least:
             out.append(guess)
     return out[: 1 + MOST]
 
@@ -213,15 +217,17 @@ def _score(surfaces: _Surfaces, up: Float64, custom: Float64) -> float:
         return custom_score
     w, slope = surfaces.weights, np.abs(surfaces.normals @ up)
     lying = slope > np.cos(LYING)
-    standing = slope < np.sin(STANDING)
-    # Of normals of all directions these would be so many.
-    expected = 1 - np.cos(LYING), np.sin(STANDING)
-    shares = float(w[lying].sum()) - expected[0], float(w[standing].sum()) - expected[1]
+    # Of normals of all directions so many would be at right angles to it.
+    standing = float(w[slope < np.sin(STANDING)].sum()) - np.sin(STANDING)
     ground = min(1.0, float(w[lying].sum()) / GROUND) * _standing_on(surfaces, up, lying)
+    return _across(surfaces, up) + 0.7 * standing + 0.25 * ground + custom_score
+
+
+def _across(surfaces: _Surfaces, up: Float64) -> float:
+    """Shares of splats and of planes that lie across a direction, beyond those of chance."""
+    lying = float(surfaces.weights[np.abs(surfaces.normals @ up) > np.cos(LYING)].sum())
     faces = float(surfaces.flat[np.abs(surfaces.faces @ up) > np.cos(TILTED)].sum())
-    shares = *shares, faces - (1 - np.cos(TILTED))
-    score = 1.5 * shares[0] + 0.7 * shares[1] + shares[2]
-    return score + 0.25 * ground + custom_score
+    return 1.5 * (lying - (1 - np.cos(LYING))) + faces - (1 - np.cos(TILTED))
 
 
 def _standing_on(surfaces: _Surfaces, up: Float64, lying: NDArray[np.bool_]) -> float:
