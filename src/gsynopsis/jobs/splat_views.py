@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from gsynopsis.cameras.given import places_beside, read_cameras
+from gsynopsis.cameras.one_photo import of_one_photo
 from gsynopsis.cameras.sheet import contact_sheet
 from gsynopsis.cameras.viewpoints import Viewpoints, for_splats
 from gsynopsis.errors import InputError
@@ -75,6 +76,8 @@ def splat_views(
 ) -> Viewpoints:
     """Cameras of splats: known ones that see something of them, else found ones.
 
+    Where splats were made of one photo, cameras stand about its own.
+
     Args:
         given: The splats.
         source: Their file.
@@ -88,6 +91,9 @@ def splat_views(
         InputError: cameras that were asked for see nothing of the scene, or it is only fog.
     """
     lines = list(known.lines)
+    beside = None if known.asked else of_one_photo(given, up, count, width)
+    if beside is not None:
+        return replace(beside, lines=(*lines, *beside.lines))
     for place, cameras in known.sources:
         if any(given.shift):
             cameras = [moved(camera, -np.array(given.shift)) for camera in cameras]

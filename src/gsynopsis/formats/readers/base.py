@@ -33,6 +33,23 @@ SHOWN_MAX = 80
 
 
 @dataclass(frozen=True)
+class PhotoCamera:
+    """The camera of the one photo that a network made splats of, as SHARP's files have it.
+
+    Attributes:
+        width: Of the photo, pixels.
+        height: Of the photo, pixels.
+        matrix: Intrinsics, pixels [3, 3].
+        w2c: World to camera, x right, y down, z forward [4, 4].
+    """
+
+    width: int
+    height: int
+    matrix: NDArray[np.float64]
+    w2c: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class SplatFile:
     """Gaussians of a file.
 
@@ -45,6 +62,7 @@ class SplatFile:
         environment: Number of splats at the front of each level that are the same in all levels.
         notes: Assumptions and unused data, a line each.
         shift: What was taken from positions, in the file's axes.
+        photo: Camera of the one photo that they were made of; None where no file says it.
     """
 
     levels: tuple[PlainGaussians, ...]
@@ -55,6 +73,7 @@ class SplatFile:
     notes: tuple[str, ...] = ()
     up_said: bool = False
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    photo: PhotoCamera | None = None
 
 
 def shown(value: object) -> str:

@@ -25,6 +25,7 @@ from gsynopsis.formats.readers.base import (
     rest_names,
     shown,
 )
+from gsynopsis.formats.readers.ply_photo import PHOTO, photo_camera
 from gsynopsis.records import SH_0, Float32, PlainGaussians
 
 HEADER_MAX = 1 << 16
@@ -43,7 +44,7 @@ TYPES = {
 }
 HALF_TYPES = ("i2", "u2")
 """PLY has no half floats; exporters write their bits as these."""
-WANTED = ("chunk", "vertex", "sh")
+WANTED = ("chunk", "vertex", "sh", *PHOTO)
 RENDER_MODE = "splatrendermode"
 """Comment of Brush and Postshot; `mip` is the anti-aliased renderer."""
 UP_COMMENT = re.compile(
@@ -119,9 +120,12 @@ def read_ply(path: Path) -> SplatFile:
             gaussians, more, shift = _unpacked(rows["vertex"], path)
         kind = "compressed PLY" if packed else "PLY"
         antialiased = _antialiased(header.comments)
-        notes = (*notes, *more)
+        photo, of_photo = photo_camera(rows)
+        others = [shown(e.name) for e in header.elements.values() if e.count and e.name not in rows]
+        unused = [f"not used: the elements {', '.join(others)}"] if others else []
+        notes = (*notes, *more, *of_photo, *unused)
         levels = (gaussians,)
-        file = SplatFile(levels, antialiased, up, kind, notes=notes, up_said=said, shift=shift)
+        file = SplatFile(levels, antialiased, up, kind, 0, notes, said, shift, photo)
         return cleaned(file, path)
 
 
