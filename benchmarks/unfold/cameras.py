@@ -46,7 +46,7 @@ from gsynopsis.model.splats import SplatModel, decoder_of
 from gsynopsis.render.base import Renderer
 from gsynopsis.render.cpu import CpuRenderer
 from gsynopsis.render.measures import blend_weights
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, positions_of
 from gsynopsis.scene.load import load_scene
 from gsynopsis.scene.scene import Scene
 from gsynopsis.teacher.ranking import worth_of, worth_of_few
@@ -65,7 +65,7 @@ SEEN = 0.1
 
 def stepped_back(cameras: Sequence[Camera], factor: float = 1.25) -> list[Camera]:
     """Cameras that look the same way from farther off the point that all look at."""
-    places = np.stack([camera.position for camera in cameras])
+    places = positions_of(cameras)
     target = nearest_to_axes(places, np.stack([camera.forward for camera in cameras]))
     out: list[Camera] = []
     for camera, place in zip(cameras, places, strict=True):

@@ -22,7 +22,7 @@ from gsynopsis.model.build import new_model
 from gsynopsis.model.lattice import KEY_LIMIT, auto_voxel, free_cells, lattice_keys
 from gsynopsis.model.splats import FileModel
 from gsynopsis.render.base import Renderer
-from gsynopsis.scene.camera import STILL, Camera
+from gsynopsis.scene.camera import STILL, Camera, positions_of
 from gsynopsis.scene.scene import Scene
 from gsynopsis.training.growth import GrowthStatistics, Seeds, adjust
 from gsynopsis.training.losses import SSIM_WEIGHT
@@ -183,7 +183,7 @@ class OctreeTraining:
         self.scale, self.steps, seed = training.scale, training.steps, training.seed
         self.growth = GrowthConfig(max_anchors=training.most)
         self.chance = np.random.default_rng(seed)
-        self.eyes = np.stack([scene.camera(view, self.scale).position for view in scene.train])
+        self.eyes = positions_of(scene.camera(view, self.scale) for view in scene.train)
         gate = OctreeGate.of(scene.points, self.eyes)
         edge = auto_voxel(scene.points, scene.extent)
         half = max(edge / 2 ** (gate.lattices - gate.first), 2 * scene.extent / KEY_LIMIT)

@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from gsynopsis.cameras.placement import WHOLE, Subject, camera_at
 from gsynopsis.cameras.sketch import Sight, Sketcher
 from gsynopsis.cameras.up import Guess
-from gsynopsis.scene.camera import Camera, look_from
+from gsynopsis.scene.camera import Camera, look_from, positions_of
 
 Float64 = NDArray[np.float64]
 TURNS, TILTS, ZOOMS = 12, (0.05, 0.4, 0.8, 1.3), (1.05, 0.7)
@@ -210,7 +210,7 @@ class Search:
 
     def _beside(self, best: Sequence[Try], each: int, aside: float) -> list[tuple[Camera, float]]:
         chance = self._chance
-        eyes = np.stack([one.camera.position for one in best]).repeat(each, axis=0)
+        eyes = positions_of(one.camera for one in best).repeat(each, axis=0)
         distances = np.array([one.distance for one in best]).repeat(each)[:, None]
         ahead = np.stack([one.camera.forward for one in best]).repeat(each, axis=0)
         targets = eyes + distances * ahead

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gsynopsis.container.layout import FAR
 from gsynopsis.container.notes.first_view import parse_first
 from gsynopsis.records import FIRST_NOTE, ORBIT_NOTE, Frame, LevelSet
-from gsynopsis.scene.camera import Camera, across, look_from, unit
+from gsynopsis.scene.camera import Camera, across, look_from, positions_of, unit
 
 Vector = NDArray[np.float64]
 DIGITS = 7
@@ -120,7 +120,7 @@ def circle_of_cameras(
     all viewing axes; where that is not in front of the cameras (parallel axes, or cameras that look
     outwards), it is a point ahead of their middle.
     """
-    positions = np.stack([camera.position for camera in cameras])
+    positions = positions_of(cameras)
     forwards = np.stack([camera.forward for camera in cameras])
     ups = -np.stack([camera.w2c[1, :3] for camera in cameras])
     up = unit(ups.mean(axis=0) if given is None else np.array(given))
@@ -171,7 +171,7 @@ def captured_arc(sides: Vector, up: Vector) -> tuple[Vector, tuple[float, float]
 
 def first_view(cameras: Sequence[Camera], circle: Circle) -> Camera:
     """The camera that shows the scene as most do: upright, at the target, mid-arc, not too near."""
-    eyes = np.stack([camera.position for camera in cameras]) - circle.target
+    eyes = positions_of(cameras) - circle.target
     distances = np.linalg.norm(eyes, axis=1)
     forwards = np.stack([camera.forward for camera in cameras])
     downs = np.stack([camera.w2c[1, :3] for camera in cameras])

@@ -17,7 +17,7 @@ from PIL import Image
 from gsynopsis.capture.matching import Pair
 from gsynopsis.capture.sfm import CHUNK, SEED, extract_keypoints, load_pycolmap, match_pairs
 from gsynopsis.files import publish, write_error
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, positions_of
 from gsynopsis.scene.ply import ply_bytes
 from gsynopsis.scene.scene import Scene
 
@@ -76,7 +76,7 @@ def triangulate(scene: Scene, path: Path, told: Told) -> int:
 
 def near_pairs(cameras: Sequence[Camera]) -> list[Pair]:
     """Pairs of photos that see the same from places close by, ascending."""
-    places = np.stack([camera.position for camera in cameras])
+    places = positions_of(cameras)
     looks = np.stack([camera.forward for camera in cameras])
     away = np.linalg.norm(places - np.median(places, axis=0), axis=1)
     spread = float(np.median(away)) or 1.0

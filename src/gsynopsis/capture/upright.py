@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, positions_of
 
 AGREED = 0.5
 """Length of the mean of the photos' upward directions from which they tell where up is."""
@@ -32,7 +32,7 @@ def scene_center(cameras: Sequence[Camera], points: NDArray[np.float64]) -> NDAr
 
     Elsewhere the median of the points [P, 3].
     """
-    places = np.stack([camera.position for camera in cameras])
+    places = positions_of(cameras)
     axes = np.stack([camera.forward for camera in cameras])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # [C, 3, 3]
     system: NDArray[np.float64] = across.mean(axis=0)

@@ -44,7 +44,7 @@ from gsynopsis.files import DRAFT, publish, published, refuse_link
 from gsynopsis.runs.folder import make_folder
 from gsynopsis.runs.lock import run_lock
 from gsynopsis.scene.account import ESTIMATED, Account, listed
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, positions_of
 from gsynopsis.scene.colmap.distortion import Warp
 from gsynopsis.scene.colmap.read import find_sparse
 from gsynopsis.scene.load import load_scene
@@ -384,7 +384,7 @@ def advice_of(found: Reconstructed, photos: int) -> list[str]:
 def picture_of(scene: Scene) -> Image.Image:
     """Points and cameras from above and from the side; z is up."""
     cameras = [view.camera for view in scene.views]
-    places = np.stack([camera.position for camera in cameras])
+    places = positions_of(cameras)
     middle = np.median(places, axis=0)
     away = np.abs(np.concatenate([scene.points, places]) - middle).max(axis=1)
     reach = 1.1 * max(float(np.quantile(away, PICTURED)), 1e-12)

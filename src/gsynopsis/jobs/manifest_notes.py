@@ -6,7 +6,6 @@ Names of the notes that readers act on stand in `records.py`; docs/format.md say
 import io
 from collections.abc import Sequence
 
-import numpy as np
 from PIL import Image, features
 
 from gsynopsis import __version__
@@ -26,6 +25,7 @@ from gsynopsis.records import (
     SHIFT_NOTE,
 )
 from gsynopsis.render.base import TrainingFocals
+from gsynopsis.scene.camera import positions_of
 from gsynopsis.training.state import TrainState
 
 Up = tuple[float, float, float]
@@ -49,7 +49,7 @@ def training_notes(state: TrainState, preset: str, up: Up | None = None) -> dict
     circle = circle_of_cameras(cameras, scene.up if up is None else up)
     first = first_view(cameras, circle)
     view = next(v for v, c in zip(scene.train, cameras, strict=True) if c is first)
-    eyes = np.stack([camera.position for camera in cameras])
+    eyes = positions_of(cameras)
     anchors, _ = state.model.placed()
     factor = max(1.0, max(first.width, first.height) / POSTER_SIDE)
     poster = poster_of(scene.image(view, factor))

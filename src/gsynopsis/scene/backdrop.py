@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, positions_of
 
 CELLS = 12
 """Cells along the longer side of a photo: one without a point in it shows backdrop, perhaps."""
@@ -39,7 +39,7 @@ def backdrop_points(
     Returns:
         World positions, from none (all is covered) to some 1,800, [B, 3].
     """
-    eyes = np.stack([camera.position for camera in cameras])
+    eyes = positions_of(cameras)
     middle = eyes.mean(axis=0)
     reach = [np.linalg.norm(eyes - middle, axis=1).max(), extent]
     if len(points):

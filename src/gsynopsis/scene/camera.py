@@ -1,6 +1,7 @@
 """A pinhole camera and the rules for scaling it."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -109,6 +110,11 @@ class Camera:
     def shifted(self, shift: Shift) -> "Camera":
         """The same view, its pixels so far right and down of their places; -0.5 to 0.5 pixels."""
         return replace(self, cx=self.cx - shift[0], cy=self.cy - shift[1])
+
+
+def positions_of(cameras: Iterable[Camera]) -> NDArray[np.float64]:
+    """Centres of cameras, world units, float64 [n, 3]."""
+    return np.array([camera.position for camera in cameras], np.float64).reshape(-1, 3)
 
 
 def scaled_size(width: int, height: int, factor: float) -> tuple[int, int]:

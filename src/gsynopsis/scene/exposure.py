@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gsynopsis.scene.camera import positions_of
 from gsynopsis.scene.observations import Observations, observed
 from gsynopsis.scene.scene import Scene
 
@@ -188,7 +189,7 @@ def _deviation(part: Float64) -> float:
 def _nearest(scene: Scene) -> NDArray[np.int64]:
     """Rows of the views with the nearest poses, for each training view, [V, n]."""
     cameras = [scene.views[view].camera for view in scene.train]
-    places = np.stack([camera.position for camera in cameras]) / scene.extent
+    places = positions_of(cameras) / scene.extent
     looks = np.stack([camera.forward for camera in cameras])
     apart = np.linalg.norm(places[:, None] - places[None], axis=2)
     apart += np.linalg.norm(looks[:, None] - looks[None], axis=2)

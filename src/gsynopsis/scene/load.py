@@ -8,6 +8,7 @@ import numpy as np
 
 from gsynopsis.errors import NoPosesError, SceneError
 from gsynopsis.scene.account import estimated_account, listed
+from gsynopsis.scene.camera import positions_of
 from gsynopsis.scene.colmap.model import LARGEST, poses_advice
 from gsynopsis.scene.colmap.read import PlacedModel, best_model, not_read, read_colmap
 from gsynopsis.scene.masks import points_inside, with_masks
@@ -63,7 +64,7 @@ def load_scene(
         where = error.filename or path
         raise SceneError(where, found=error.strerror, expected="a readable scene") from error
     views = tuple(sorted(listing.views, key=lambda view: view.name))
-    far = far_cameras(np.stack([view.camera.position for view in views]))
+    far = far_cameras(positions_of(view.camera for view in views))
     near = np.flatnonzero(~far).tolist()
     train, test, notes = _split(listing, views, near, split)
     if not train:
@@ -90,7 +91,7 @@ def load_scene(
         ),
         listing.path,
     )
-    places = np.stack([views[view].camera.position for view in near])
+    places = positions_of(views[view].camera for view in near)
     scene = replace(scene, notes=(*scene.notes, *parallax_notes(places, scene.points)))
     return _within_masks(scene) if reading.masks == "empty" and scene.masked else scene
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gsynopsis.scene.account import Account
 from gsynopsis.scene.backdrop import backdrop_points
-from gsynopsis.scene.camera import STILL, Camera, Shift
+from gsynopsis.scene.camera import STILL, Camera, Shift, positions_of
 from gsynopsis.scene.masks import INSIDE, MaskUse, load_mask
 from gsynopsis.scene.photos import AS_STORED, PhotoForm, load_photo
 from gsynopsis.scene.splits import Split
@@ -199,7 +199,7 @@ class Scene:
 
         World units, > 0. Where all training cameras stand in one place, test cameras count too.
         """
-        every = np.stack([view.camera.position for view in self.views])
+        every = positions_of(view.camera for view in self.views)
         used = sorted({*self.train, *self.test})
         return 1.1 * (spread(every[list(self.train)]) or spread(every[used]))
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gsynopsis.errors import SceneError
 from gsynopsis.scene.account import Account, listed
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, positions_of
 from gsynopsis.scene.colmap.distortion import warp_of
 from gsynopsis.scene.colmap.model import Pinhole
 from gsynopsis.scene.outliers import far_cameras
@@ -208,7 +208,7 @@ def near_origin(listing: SceneRecords) -> tuple[SceneRecords, Place]:
 
     Coordinates of maps (UTM) are so: cameras some metres apart, millions of metres from the origin.
     """
-    places = np.array([view.camera.position for view in listing.views])
+    places = positions_of(view.camera for view in listing.views)
     if len(places) < 2:
         return listing, NO_SHIFT
     middle = np.median(places, axis=0)
@@ -265,7 +265,7 @@ def _random_points(views: Sequence[View]) -> NDArray[np.float64]:
     Uniform where at least half as many cameras see a point as see any, and none has it right
     before it: there it would hide all else. Cameras far outside of the others do not count.
     """
-    places = np.stack([view.camera.position for view in views])
+    places = positions_of(view.camera for view in views)
     places = places[~far_cameras(places)]
     center = places.mean(axis=0)
     radius = np.linalg.norm(places - center, axis=1).max()
@@ -308,7 +308,7 @@ def check_listing(listing: SceneRecords) -> tuple[str, ...]:
     twice = [a for a, b in pairwise(sorted(view.name for view in views)) if a == b]
     if twice:
         raise SceneError(path, f"image {twice[0]}", found="it twice", expected="each image once")
-    if spread(np.stack([view.camera.position for view in views])) == 0:
+    if spread(positions_of(view.camera for view in views)) == 0:
         wanted = "at least two places"
         raise SceneError(path, "poses", found="all cameras in one place", expected=wanted)
     headers = [(view, expect_size(view.path, view.stored_size)) for view in views]

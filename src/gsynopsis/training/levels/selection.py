@@ -10,7 +10,6 @@ First pure functions of tensors, then those that go over the training views.
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,7 +19,7 @@ from gsynopsis.model.build import model_to_levels
 from gsynopsis.model.lattice import KEY_LIMIT, lattice_keys
 from gsynopsis.render.base import Gaussians
 from gsynopsis.render.measures import blend_weights, removal_effects
-from gsynopsis.scene.camera import Camera
+from gsynopsis.scene.camera import Camera, positions_of
 from gsynopsis.training.distributed.view_sums import sum_over_views
 from gsynopsis.training.growth import edit_rows
 from gsynopsis.training.levels.size_budget import AHEAD, fit_masks
@@ -227,7 +226,7 @@ def rank_levels(state: TrainState, levels: Joint, later: int = 0) -> None:
     progress = state.progress
     # Found once: anchors that this ranking drops count at the next one too.
     scene = state.context.scene
-    middle = torch.tensor(np.mean([scene.views[v].camera.position for v in scene.train], axis=0))
+    middle = torch.tensor(positions_of(scene.views[v].camera for v in scene.train).mean(axis=0))
     octaves = octaves_of(model.placed()[0], middle.to(effects), scene.extent)
     cell = progress.coverage_cell or coverage_cell(model.lattice, octaves, COVERAGE)
     scores[0] = coverage_weighted_scores(model.lattice, octaves, scores[0], cell)
