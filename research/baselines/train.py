@@ -63,7 +63,7 @@ def run_baseline(
         train_seconds=seconds,
         split=task.scene.split,
     )
-    device, inside = task.renderer.device, task.scene.inside if task.scene.masked else None
+    device, inside = task.renderer.device, task.scene.judged
     report = evaluate(
         rival.decoder(decode(data, str(out / FILE))).to(device),
         levels,
@@ -75,7 +75,7 @@ def run_baseline(
     report = with_extra(report, rival.extra)
     write_report(report, out)
     scored = (rival.uncoded, levels, task.scene, task.renderer, task.scale)
-    uncoded = [quality.psnr_full for quality in measure_quality(*scored)[1]]
+    uncoded = [quality.psnr for quality in measure_quality(*scored)[1]]
     publish_text(out / UNCODED_FILE, json.dumps(uncoded))
     return report
 

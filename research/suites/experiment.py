@@ -45,6 +45,7 @@ COLUMNS = (
 )
 """Columns of the CSV.
 
+Of scenes with masks `psnr_full` and `psnr_train` count inside of them, where methods are trained.
 `psnr_uncoded` is `psnr_full` of a baseline before any value was rounded, where it was measured.
 `total_ms` is the median of a frame, `seconds` the wall time of training, `cpu_seconds` the
 processor time of all threads of the cell's last process, evaluation included. Both count Gaussians
@@ -229,6 +230,9 @@ def rows_of(cell: Cell, metrics: Row, before: float = 0) -> list[Row]:
     for level in metrics["levels"]:
         own = {name: level[name] for name in ("level", "anchors", "slots", *SIZES)}
         own |= {name: level.get(name) for name in (*FIGURES, "total_ms")}
+        if level.get("psnr_masked") is not None:
+            inside = {"psnr_full": "psnr_masked", "psnr_train": "psnr_train_masked"}
+            own |= {name: level[masked] for name, masked in inside.items()}
         own |= {"width": level["width_full"], "height": level["height_full"]}
         row = {**whole, **own, **after}
         rows.append({k: round(v, 4) if isinstance(v, float) else v for k, v in row.items()})

@@ -9,6 +9,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -205,6 +206,32 @@ def test_the_printed_table_has_a_line_per_level_and_aligned_columns(report: Repo
     assert lines[-1].endswith(" dB on 3 of 7 training photos")
     assert lines[-1].split()[:4] == [f"{score.psnr_train:.2f}" for score in report.levels]
     assert text_table(["a", "bb"], [["ccc", "d"]]) == "a    bb\n───  ──\nccc   d"
+
+
+def test_photos_with_masks_are_judged_inside_of_them_wherever_decibels_stand(
+    tmp_path: Path,
+) -> None:
+    """Outside nothing is trained: finer levels may be farther from a photo's surroundings."""
+    scene, inside = fake_scene(), np.zeros((64, 96), bool)
+    inside[:, :20] = True
+    options = Options(frames=1, pictures=1, inside=lambda view, factor: inside)
+    report = evaluate(
+        LevelDecoder((0.2, 0.1, 0.04, 0.02)), level_set(), scene, renderer_of(scene), 1.0, options
+    )
+    qualities = [score.quality for score in report.levels]
+    assert all(each.psnr == each.psnr_masked for each in qualities)
+    assert qualities[0].psnr != qualities[0].psnr_full
+    said = report_table(report)
+    assert "dB: PSNR inside the masks of 3 held-out views" in said
+    for line, quality in zip(said.splitlines()[2:6], qualities, strict=True):
+        assert line.split()[3] == f"{quality.psnr:.2f}"
+    whole = " ".join(f"{each.psnr_full:.2f}" for each in qualities)
+    assert f"{whole} dB of whole photos" in said
+    write_report(report, tmp_path)
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert "inside the masks" in page and f"{qualities[-1].psnr:.2f}" in page
+    figures = qualities[0].figures()
+    assert figures["psnr_full"] == figures["psnr_masked"] == round(qualities[0].psnr, 5)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -221,6 +222,17 @@ def test_alpha_channels_are_masks_if_asked(tiny) -> None:
     write_mask(root / "masks" / "b.png", slice(0, 6))
     both = load_scene(root, reading=ALPHA)
     assert both.mask(1) is None and "masks/ is not read" in both.account.text()
+
+
+def test_a_model_is_judged_inside_of_masks_unless_their_outside_is_to_be_empty(tiny) -> None:
+    root = tiny(("a.png", "b.png", "c.png"))
+    assert load_scene(root).judged is None
+    write_mask(root / "masks" / "a.png", slice(0, 6))
+    judged = load_scene(root).judged
+    assert judged is not None
+    inside = judged(0, 1)
+    assert inside is not None and inside.sum() == 6 * SIZE[1] and judged(1, 1) is None
+    assert replace(load_scene(root), reading=EMPTY).judged is None
 
 
 @pytest.mark.parametrize("use", ["alpha", "empty"])

@@ -93,6 +93,8 @@ def measure_quality(
 ) -> tuple[tuple[int, int], list[Quality]]:
     """Quality of every level on the held-out views at the training resolution, and nothing else.
 
+    Inside of the photos' masks too, where they have any.
+
     Args:
         decoder: Decodes the levels of `levels`.
         levels: How many there are.
@@ -107,7 +109,7 @@ def measure_quality(
     Raises:
         DivergedError: a rendering is not finite.
     """
-    options = Options(tick=tick, pictures=0)
+    options = Options(tick=tick, pictures=0, inside=scene.judged)
     painter = LevelRenderer(decoder, renderer)
     count = len(levels.levels)
     with torch.no_grad():

@@ -125,9 +125,19 @@ class Quality:
     psnr_masked: float | None = None
     psnr_exposed: float | None = None
 
+    @property
+    def psnr(self) -> float:
+        """PSNR of what photos count for: inside of their masks where they have any, dB."""
+        return self.psnr_full if self.psnr_masked is None else self.psnr_masked
+
     def figures(self) -> dict[str, float]:
-        """Measured figures by name, rounded: as a file's manifest holds them."""
-        return {k: round(v, 5) for k, v in asdict(self).items() if v is not None}
+        """Measured figures by name, rounded: as a file's manifest holds them.
+
+        There `psnr_full` is `psnr`: what is outside of masks was not trained, and finer levels
+        may be farther from it.
+        """
+        measured = {k: round(v, 5) for k, v in asdict(self).items() if v is not None}
+        return {**measured, "psnr_full": round(self.psnr, 5)}
 
 
 @dataclass(frozen=True)
@@ -338,6 +348,7 @@ def columns_of(report: Report) -> list[str]:
     if report.photo:
         named["PSNR at photo size"] = pixels(report.photo.width, report.photo.height)
     named["SSIM"] = named["PSNR"]
+    named["PSNR"] += ", inside the masks" if is_masked(report) else ""
     sized = {"PSNR at photo size": "PSNR"}
     return [f"{sized.get(n, n)}, {named[n]}" if n in named else n for n in COLUMNS]
 
@@ -349,10 +360,10 @@ def level_cells(score: LevelScore) -> list[str]:
         f"L{score.level}",
         f"{score.anchors:,}",
         f"{score.slots:,}",
-        f"{quality.psnr_full:.2f}",
+        f"{quality.psnr:.2f}",
         f"{quality.ssim_full:.4f}",
         "n/a" if quality.flip_full is None else f"{quality.flip_full:.4f}",
-        _decibels(score.psnr_train),
+        _decibels(score.psnr_train if quality.psnr_masked is None else score.psnr_train_masked),
         _decibels(quality.psnr_photo),
         pixels(*score.own_size),
         f"{quality.psnr_own:.2f}",
@@ -393,7 +404,7 @@ def report_table(report: Report) -> str:
             f"L{score.level}",
             f"{score.anchors:,}",
             mib(score.sizes.bytes_compact),
-            f"{score.quality.psnr_full:.2f}",
+            f"{score.quality.psnr:.2f}",
             f"{score.timing.total_ms:.1f}",
         ]
         for score in report.levels
@@ -408,9 +419,10 @@ def report_table(report: Report) -> str:
 def sizes_text(report: Report) -> str:
     """Text on the images that the decibels are of, and the finest level at the photos' own size."""
     count = len({score.view for score in report.views})
-    said = f"dB: PSNR of {count} {views_text(report)} of {pixels(report.width, report.height)}"
-    said += adjusted_text(report)
-    return f"{said}{at_photo_size_text(report)}{train_text(report)}"
+    where = " inside the masks" if is_masked(report) else ""
+    said = f"dB: PSNR{where} of {count} {views_text(report)}"
+    said += f" of {pixels(report.width, report.height)}"
+    return f"{said}{at_photo_size_text(report)}{adjusted_text(report)}{train_text(report)}"
 
 
 def at_photo_size_text(report: Report) -> str:
@@ -423,13 +435,15 @@ def at_photo_size_text(report: Report) -> str:
     size = pixels(photo.width, photo.height)
     some = "all" if photo.views == photo.held_out else f"{photo.views}, evenly chosen,"
     values = " ".join(_decibels(score.quality.psnr_photo) for score in report.levels)
-    return f"\n    {values} dB at the photos' own size, {size} ({some} of {photo.held_out})"
+    whole = " of whole photos" if is_masked(report) else ""
+    return f"\n    {values} dB{whole} at the photos' own size, {size} ({some} of {photo.held_out})"
 
 
 def train_text(report: Report) -> str:
     """Line of the levels' PSNR on training photos; empty where none was measured."""
     lines, (some, count) = "", report.train_views
-    for name, where in (("psnr_train", ""), ("psnr_train_masked", ", inside the masks")):
+    whole = ", whole" if is_masked(report) else ""
+    for name, where in (("psnr_train_masked", ", inside the masks"), ("psnr_train", whole)):
         values = [getattr(score, name) for score in report.levels]
         if values[-1] is not None:
             of = f"{some} of {count}" if some < count else f"the {count}"
@@ -437,13 +451,16 @@ def train_text(report: Report) -> str:
     return lines
 
 
+def is_masked(report: Report) -> bool:
+    """Photos have masks, inside of which `Quality.psnr` counts."""
+    return report.levels[-1].quality.psnr_masked is not None
+
+
 def adjusted_text(report: Report) -> str:
-    """Figures of a part of each photo, a line each; empty where there are none."""
-    lines = ""
-    for name, what in (
-        ("psnr_masked", "inside the masks"),
-        ("psnr_exposed", "in the right half, in the photo's exposure as the left half solves it"),
-    ):
+    """Figures of another part of each photo, a line each; empty where there are none."""
+    lines, exposed = "", "in the right half, in the photo's exposure as the left half solves it"
+    whole = [("psnr_full", "of whole photos")] if is_masked(report) else []
+    for name, what in (*whole, ("psnr_exposed", exposed)):
         values = [getattr(score.quality, name) for score in report.levels]
         if values[-1] is not None:
             lines += f"\n    {' '.join(map(_decibels, values))} dB {what}"

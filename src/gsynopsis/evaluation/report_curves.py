@@ -86,6 +86,10 @@ def inline_svg(document: str) -> str:
 def _draw(axes: Axes, levels: Sequence[LevelScore], protocol: Protocol, panel: Panel) -> None:
     x = [score.sizes.bytes_compact / 2**20 for score in levels]
     y = [float(getattr(score.quality, f"{panel.measure}_{protocol}")) for score in levels]
+    title = panel.title
+    if panel.measure == "psnr" and protocol == "full":
+        y = [score.quality.psnr for score in levels]
+        title += ", inside the masks" if levels[-1].quality.psnr_masked is not None else ""
     axes.plot(x, y, color=ACCENT, linewidth=2, marker="o", markersize=6, clip_on=False)
     for score, left, up in zip(levels, x, y, strict=True):
         axes.annotate(
@@ -96,4 +100,4 @@ def _draw(axes: Axes, levels: Sequence[LevelScore], protocol: Protocol, panel: P
     if panel.measure == "ssim":
         axes.set_ylim(top=min(1.0, axes.get_ylim()[1]))
     axes.set_xlabel("cumulative size, MiB (compact)")
-    axes.set_title(panel.title, loc="left", fontsize=11, fontweight="bold")
+    axes.set_title(title, loc="left", fontsize=11, fontweight="bold")

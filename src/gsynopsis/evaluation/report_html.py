@@ -16,6 +16,7 @@ from gsynopsis.evaluation.report import (
     Pictures,
     Report,
     columns_of,
+    is_masked,
     level_cells,
     photos_text,
     settings_of,
@@ -65,9 +66,10 @@ def _summary(report: Report) -> list[tuple[str, str, str]]:
     """The four figures on top of the page: value, unit, name."""
     first, last = report.levels[0], report.levels[-1]
     at = f"pictures of {pixels(report.width, report.height)}"
+    at += ", inside the masks" if is_masked(report) else ""
     return [
-        (f"{last.quality.psnr_full:.2f}", "dB", f"PSNR of L{last.level}, {at}{_at_photos(report)}"),
-        (f"{first.quality.psnr_full:.2f}", "dB", f"PSNR of L{first.level}, {at}"),
+        (f"{last.quality.psnr:.2f}", "dB", f"PSNR of L{last.level}, {at}{_at_photos(report)}"),
+        (f"{first.quality.psnr:.2f}", "dB", f"PSNR of L{first.level}, {at}"),
         (mib(last.sizes.bytes_compact), "MiB", f"whole file, {last.anchors:,} anchors"),
         (mib(first.sizes.bytes_compact), "MiB", f"until L{first.level} can be shown"),
     ]

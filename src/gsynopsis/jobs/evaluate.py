@@ -96,7 +96,7 @@ def evaluate(
             provenance=provenance,
             tick=told,
             photo_pixels=measures.photo_pixels,
-            inside=scene.inside if scene.masked else None,
+            inside=scene.judged,
             exposure=measures.exposure,
             lpips=measures.lpips,
         )

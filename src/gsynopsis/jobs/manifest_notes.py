@@ -90,7 +90,12 @@ def trained_focals(state: TrainState) -> list[TrainingFocals]:
 
 
 def quality_notes(
-    split: str, scale: float, size: tuple[int, int], photo: AtPhotoSize | None
+    split: str,
+    scale: float,
+    size: tuple[int, int],
+    photo: AtPhotoSize | None,
+    *,
+    masked: bool = False,
 ) -> dict[str, str]:
     """Notes on how the figures in a file were measured.
 
@@ -99,12 +104,14 @@ def quality_notes(
         scale: Photos were divided by this.
         size: Width and height of the pictures, pixels.
         photo: At which of the photos' own sizes, if at any.
+        masked: `psnr_full` is inside of the photos' masks.
     """
     full = f"{size[0]} x {size[1]}"
     text = (
         f"held-out views by rule {split}, scale {scale:g}, 8 bits, black background; "
         f"full: pictures of {full}, own: level L of 0..M at scale {scale:g} times 2^(M-L)"
     )
+    text += "; psnr_full inside of masks" if masked else ""
     notes = {"protocol": text, "pictures": full}
     if photo:
         notes["photos"] = f"{photo.width} x {photo.height}"

@@ -168,7 +168,7 @@ def pack_result(
             frames=Measures.frames,
             provenance=provenance_of(state, preset, total_steps(config)),
             photo_pixels=options.photo_pixels,
-            inside=scene.inside if scene.masked else None,
+            inside=scene.judged,
             exposure=options.exposure or state.exposures is not None,
         )
     try:

@@ -130,15 +130,15 @@ def write_file(
     told = (lambda done, total: tick("evaluating views", done, total)) if tick else None
     if options is None:
         size, quality = measure_quality(model, levels, context.scene, context.renderer, scale, told)
-        notes = quality_notes(context.config.split, scale, size, None)
-        figures = [q.figures() for q in quality]
+        photo = None
     else:
         options = replace(options, tick=told)
         report = evaluate(model, levels, context.scene, context.renderer, scale, options)
-        figures = [score.quality.figures() for score in report.levels]
-        notes = quality_notes(
-            context.config.split, scale, (report.width, report.height), report.photo
-        )
+        quality = [score.quality for score in report.levels]
+        size, photo = (report.width, report.height), report.photo
+    figures = [each.figures() for each in quality]
+    masked = quality[-1].psnr_masked is not None
+    notes = quality_notes(context.config.split, scale, size, photo, masked=masked)
     utility = block_utilities(assembler, state, tick)
     notes |= sizes | ({UTILITY_NOTE: utility} if utility else {})
     publish(annotated(data, notes, figures, str(path)), path)

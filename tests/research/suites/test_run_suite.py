@@ -11,14 +11,19 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from gsynopsis.evaluation.evaluate import evaluate
+from gsynopsis.evaluation.protocols import Options
+from gsynopsis.evaluation.report import report_json
 from gsynopsis.synthetic.make_scene import make_scene
 from research.__main__ import main
 from research.suites import run_suite as run
-from research.suites.experiment import CELL_FILE, ROWS_FILE
+from research.suites.experiment import CELL_FILE, ROWS_FILE, rows_of
 from research.suites.run_suite import run_suite
-from research.suites.suite import read_suite
+from research.suites.suite import Cell, read_suite
+from tests.stage import LevelDecoder, fake_scene, level_set, renderer_of
 
 ROOT = Path(__file__).parents[3]
 SUITE = """
@@ -105,6 +110,20 @@ def test_a_suite_has_a_row_for_each_cell_and_level_and_a_page_without_links(done
     assert page.index("<details>") < page.index("<td>igs</td>") < page.index("</details>")
     assert "http" not in page
     assert "24 × 16 pixels, 1 test photos" in page
+
+
+def test_rows_of_a_scene_with_masks_count_inside_of_them() -> None:
+    scene, inside = fake_scene(), np.zeros((64, 96), bool)
+    inside[:, :20] = True
+    options = Options(frames=1, pictures=0, inside=lambda view, factor: inside)
+    model = LevelDecoder((0.2, 0.1, 0.04, 0.02))
+    report = evaluate(model, level_set(), scene, renderer_of(scene), 1.0, options)
+    cell = Cell("bust", "ours", 0, "bust", "standard")
+    rows = rows_of(cell, json.loads(report_json(report)))
+    for row, score in zip(rows, report.levels, strict=True):
+        assert row["psnr_full"] == pytest.approx(score.quality.psnr_masked, abs=1e-4)
+        assert row["psnr_train"] == pytest.approx(score.psnr_train_masked, abs=1e-4)
+        assert row["ssim_full"] == pytest.approx(score.quality.ssim_full, abs=1e-4)
 
 
 def test_finished_cells_are_not_run_again(
