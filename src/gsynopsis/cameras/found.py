@@ -31,7 +31,7 @@ LOWEST, HIGHEST = -0.6, 1.4
 """Elevations from there, radians."""
 QUICK, QUICK_BEST = 64, 8
 """Cameras that only compare candidates for up, and how many of the best count."""
-LIKELY, MARGIN = 0.25, 0.12
+LIKELY, MARGIN = 0.25, 0.05
 """Weight of the logarithm of their worth beside surfaces and customs; and by so much another
 direction must be better than the custom of the format."""
 SAME_AXIS = 0.99
