@@ -33,7 +33,7 @@ def test_the_photo_s_own_camera_is_first_and_others_are_near_it() -> None:
     w2c = np.eye(4)
     w2c[:3, 3] = (0.5, 0.0, 1.0)
     own = PhotoCamera(192, 128, np.array([[160.0, 0, 96], [0, 160, 64], [0, 0, 1]]), w2c)
-    views = of_one_photo(SplatFile((pixels_of(),), photo=own), None, 20, 96)
+    views, _ = of_one_photo(SplatFile((pixels_of(),), photo=own), None, 20, 96)
     assert views is not None
     first = views.cameras[0]
     assert (first.width, first.height, first.fx) == (96, 64, 80)
@@ -54,7 +54,7 @@ def test_a_file_that_has_no_camera_shows_one_picture_from_the_origin(
     given = pixels_of()
     if up[1] > 0:
         given = replace(given, means=given.means * np.array([1, -1, -1], np.float32))
-    views = of_one_photo(SplatFile((given,), up=up), None, 20, 96)
+    views, _ = of_one_photo(SplatFile((given,), up=up), None, 20, 96)
     assert views is not None
     first = views.cameras[0]
     assert first.position == pytest.approx(np.zeros(3))
@@ -67,10 +67,19 @@ def test_a_file_that_has_no_camera_shows_one_picture_from_the_origin(
     assert "fill one picture" in views.lines[0]
 
 
+def test_a_camera_that_sees_little_of_the_splats_is_passed_over_and_said() -> None:
+    """They were moved since: an editor left the camera where it was."""
+    turned = np.diag([1.0, -1.0, -1.0, 1.0])
+    own = PhotoCamera(192, 128, np.array([[160.0, 0, 96], [0, 160, 64], [0, 0, 1]]), turned)
+    views, notes = of_one_photo(SplatFile((pixels_of(),), photo=own), None, 20, 96)
+    assert views is not None and "fill one picture" in views.lines[0]
+    assert notes == ["not used: the photo's camera in the file, which sees little of it"]
+
+
 def test_up_is_what_somebody_or_the_file_says() -> None:
     file = SplatFile((pixels_of(),), up=(0.0, 0.0, 1.0), up_said=True)
-    said = of_one_photo(file, None, 20, 96)
-    asked = of_one_photo(file, (1.0, 0.0, 0.0), 20, 96)
+    said, _ = of_one_photo(file, None, 20, 96)
+    asked, _ = of_one_photo(file, (1.0, 0.0, 0.0), 20, 96)
     assert said is not None and said.up == (0, 0, 1)
     assert asked is not None and asked.up == (1, 0, 0)
 
@@ -81,7 +90,7 @@ def test_scenes_of_many_photos_are_not_taken_for_one(name: str) -> None:
     given = SCENES[name]().gaussians
     for shift in ((0.0, 0.0, 0.0), (0.0, 0.0, 1.2 * float(np.ptp(given.means, axis=0).max()))):
         moved = replace(given, means=given.means + np.array(shift, np.float32))
-        assert of_one_photo(SplatFile((moved,)), None, 20, 96) is None
+        assert of_one_photo(SplatFile((moved,)), None, 20, 96) == (None, [])
 
 
 def test_half_a_picture_is_none() -> None:
@@ -89,4 +98,4 @@ def test_half_a_picture_is_none() -> None:
     given = pixels_of()
     ball = given.means[:, 2] < FAR
     cut = PlainGaussians(*(getattr(given, name)[ball] for name in vars(given)))
-    assert of_one_photo(SplatFile((cut,)), None, 20, 96) is None
+    assert of_one_photo(SplatFile((cut,)), None, 20, 96) == (None, [])

@@ -232,6 +232,7 @@ def test_photos_with_masks_are_judged_inside_of_them_wherever_decibels_stand(
     assert "inside the masks" in page and f"{qualities[-1].psnr:.2f}" in page
     figures = qualities[0].figures()
     assert figures["psnr_full"] == figures["psnr_masked"] == round(qualities[0].psnr, 5)
+    assert "psnr_photo" not in figures
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,8 @@ REACH = 0.1
 """Farthest that cameras stand from the photo's, times the depth of its nearest parts."""
 NEAREST, MIDDLE = 0.05, 0.5
 """Shares of splats that are nearer than its nearest parts, and than what cameras look at."""
+SEEN = 0.5
+"""Least share of splats that the camera of a file has in its picture: else they were moved."""
 GOLDEN = np.pi * (3 - np.sqrt(5))
 AHEAD = 0.999
 """Least share of splats before the camera."""
@@ -39,8 +41,12 @@ SIDE = 1024
 Float64 = NDArray[np.float64]
 
 
-def of_one_photo(splats: SplatFile, up: Up | None, count: int, width: int) -> Viewpoints | None:
+def of_one_photo(
+    splats: SplatFile, up: Up | None, count: int, width: int
+) -> tuple[Viewpoints | None, list[str]]:
     """Cameras about that of the one photo that splats were made of; None: they were not.
+
+    And a line where the file has such a camera that sees little of them.
 
     Args:
         splats: The scene; its finest level counts.
@@ -50,11 +56,13 @@ def of_one_photo(splats: SplatFile, up: Up | None, count: int, width: int) -> Vi
     """
     finest = splats.levels[-1].means
     means = finest[:: -(-len(finest) // SAMPLE)].astype(np.float64)
-    photo, evidence = _given(splats), "the file has it"
+    photo, evidence, notes = _given(splats), "the file has it", list[str]()
+    if photo is not None and photo.framed(means).which.mean() < SEEN:
+        photo, notes = None, ["not used: the photo's camera in the file, which sees little of it"]
     if photo is None:
         photo, evidence = _found(means), "they fill one picture from the origin"
     if photo is None:
-        return None
+        return None, notes
     photo = photo.scaled(max(1.0, max(photo.width, photo.height) / width))
     held = "as asked for" if up is not None else "as the photo was held"
     if up is None and splats.up_said:
@@ -66,7 +74,7 @@ def of_one_photo(splats: SplatFile, up: Up | None, count: int, width: int) -> Vi
         f"cameras: {count} about that of the one photo that these splats are made of ({evidence})"
     )
     cameras = tuple(_about(photo, means, count))
-    return Viewpoints(cameras, up, False, (with_up(line, up, held),))
+    return Viewpoints(cameras, up, False, (with_up(line, up, held),)), notes
 
 
 def _given(splats: SplatFile) -> Camera | None:

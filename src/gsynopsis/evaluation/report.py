@@ -133,11 +133,13 @@ class Quality:
     def figures(self) -> dict[str, float]:
         """Measured figures by name, rounded: as a file's manifest holds them.
 
-        There `psnr_full` is `psnr`: what is outside of masks was not trained, and finer levels
-        may be farther from it.
+        There `psnr_full` is `psnr`, and no `psnr_photo` stands beside it where photos have masks:
+        what is outside was not trained, and finer levels may be farther from it.
         """
-        measured = {k: round(v, 5) for k, v in asdict(self).items() if v is not None}
-        return {**measured, "psnr_full": round(self.psnr, 5)}
+        own = {**asdict(self), "psnr_full": self.psnr}
+        if self.psnr_masked is not None:
+            own["psnr_photo"] = None
+        return {name: round(value, 5) for name, value in own.items() if value is not None}
 
 
 @dataclass(frozen=True)

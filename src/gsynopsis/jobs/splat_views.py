@@ -91,9 +91,11 @@ def splat_views(
         InputError: cameras that were asked for see nothing of the scene, or it is only fog.
     """
     lines = list(known.lines)
-    beside = None if known.asked else of_one_photo(given, up, count, width)
-    if beside is not None:
-        return replace(beside, lines=(*lines, *beside.lines))
+    if not known.asked:
+        beside, notes = of_one_photo(given, up, count, width)
+        lines += notes
+        if beside is not None:
+            return replace(beside, lines=(*lines, *beside.lines))
     for place, cameras in known.sources:
         if any(given.shift):
             cameras = [moved(camera, -np.array(given.shift)) for camera in cameras]
