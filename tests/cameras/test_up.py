@@ -61,7 +61,7 @@ def test_an_object_without_ground_keeps_the_custom_of_its_format() -> None:
 
 @pytest.mark.parametrize("name", ["hollow sphere", "opaque specks", "thick shell"])
 def test_what_lies_across_no_axis_more_than_by_chance_is_no_reason_to_turn(name: str) -> None:
-    """A person's bust lay on its back, as a few more of its splats than by chance stood along z."""
+    """A few more splats of a bust than by chance stood along z: it was turned to its other side."""
     gaussians = SCENES[name]().gaussians
     (only,) = guesses(gaussians, subject_of(gaussians, CUSTOM), CUSTOM)
     assert tuple(only.up) == CUSTOM
