@@ -39,7 +39,7 @@ class FakeScene:
     account: Account = field(default_factory=Account)
     train: tuple[int, ...] = ()
     masked: bool = False
-    judged: Callable[[int, float], np.ndarray] | None = None
+    judged: Callable[[int, float], np.ndarray | None] = lambda view, factor: None
     loads: list[tuple[int, float]] = field(default_factory=list)
 
     def camera(self, view: int, factor: float) -> Camera:

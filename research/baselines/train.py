@@ -63,14 +63,14 @@ def run_baseline(
         train_seconds=seconds,
         split=task.scene.split,
     )
-    device, inside = task.renderer.device, task.scene.judged
+    device = task.renderer.device
     report = evaluate(
         rival.decoder(decode(data, str(out / FILE))).to(device),
         levels,
         task.scene,
         task.renderer,
         task.scale,
-        Options(frames=FRAMES, provenance=known, inside=inside, lpips=lpips),
+        Options(frames=FRAMES, provenance=known, lpips=lpips),
     )
     report = with_extra(report, rival.extra)
     write_report(report, out)

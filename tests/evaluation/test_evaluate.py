@@ -114,7 +114,8 @@ def test_quality_on_training_views_is_the_mean_over_them_and_inside_their_masks(
     scene = fake_scene()
     inside = np.zeros((32, 48), bool)
     inside[:, :20] = True
-    options = Options(frames=1, pictures=0, inside=lambda view, _: inside if view != 1 else None)
+    scene.judged = lambda view, factor: inside if view != 1 else None
+    options = Options(frames=1, pictures=0)
     report = evaluate(LevelDecoder(NOISE), level_set(), scene, renderer_of(scene), 2.0, options)
     for level, noise in enumerate(NOISE):
         whole, masked = list[float](), list[float]()

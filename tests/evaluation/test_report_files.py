@@ -214,7 +214,8 @@ def test_photos_with_masks_are_judged_inside_of_them_wherever_decibels_stand(
     """Outside nothing is trained: finer levels may be farther from a photo's surroundings."""
     scene, inside = fake_scene(), np.zeros((64, 96), bool)
     inside[:, :20] = True
-    options = Options(frames=1, pictures=1, inside=lambda view, factor: inside)
+    scene.judged = lambda view, factor: inside
+    options = Options(frames=1, pictures=1)
     report = evaluate(
         LevelDecoder((0.2, 0.1, 0.04, 0.02)), level_set(), scene, renderer_of(scene), 1.0, options
     )

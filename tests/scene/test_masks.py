@@ -226,13 +226,12 @@ def test_alpha_channels_are_masks_if_asked(tiny) -> None:
 
 def test_a_model_is_judged_inside_of_masks_unless_their_outside_is_to_be_empty(tiny) -> None:
     root = tiny(("a.png", "b.png", "c.png"))
-    assert load_scene(root).judged is None
+    assert load_scene(root).judged(0) is None
     write_mask(root / "masks" / "a.png", slice(0, 6))
-    judged = load_scene(root).judged
-    assert judged is not None
-    inside = judged(0, 1)
-    assert inside is not None and inside.sum() == 6 * SIZE[1] and judged(1, 1) is None
-    assert replace(load_scene(root), reading=EMPTY).judged is None
+    scene = load_scene(root)
+    inside = scene.judged(0)
+    assert inside is not None and inside.sum() == 6 * SIZE[1] and scene.judged(1) is None
+    assert replace(scene, reading=EMPTY).judged(0) is None
 
 
 @pytest.mark.parametrize("use", ["alpha", "empty"])

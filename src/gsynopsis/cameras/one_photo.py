@@ -63,7 +63,7 @@ def of_one_photo(
         photo, evidence = _found(means), "they fill one picture from the origin"
     if photo is None:
         return None, notes
-    photo = photo.scaled(max(1.0, max(photo.width, photo.height) / width))
+    photo = photo.within(width)
     held = "as asked for" if up is not None else "as the photo was held"
     if up is None and splats.up_said:
         up, held = splats.up, "as the file says"

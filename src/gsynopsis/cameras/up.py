@@ -56,11 +56,12 @@ CLOSE, MOST = 0.35, 4
 
 
 class Guess(NamedTuple):
-    """A direction that may be up [3], how well all speaks for it, and photos among that."""
+    """A direction that may be up [3], its score, and shares of photos and of surfaces across it."""
 
     up: Float64
     score: float
     photos: float
+    across: float
 
 
 def guesses(gaussians: PlainGaussians, subject: Subject, custom: Up) -> list[Guess]:
@@ -75,13 +76,14 @@ def guesses(gaussians: PlainGaussians, subject: Subject, custom: Up) -> list[Gue
     photos = photo_direction(subject.harmonics)
 
     def guessed(up: Float64, custom: Float64 = usual) -> Guess:
-        from_above = _photographed(up, photos)
-        return Guess(up, _score(surfaces, up, custom) + from_above, from_above)
+        from_above, across = _photographed(up, photos), _across(surfaces, up)
+        score = _score(surfaces, up, across, custom) + from_above
+        return Guess(up, score, from_above, across)
 
     axes = [*_snapped(usual), *_peaks(surfaces)]
     found = [guessed(up) for axis in axes for up in (axis, -axis)]
     # A round thing has walls and tops about any axis, a little more about some: no reason to turn.
-    found = [each for each in found if each.photos > 0 or _across(surfaces, each.up) > EVIDENCE]
+    found = [each for each in found if each.photos > 0 or each.across > EVIDENCE]
     if usual @ photos < 0:
         # Some programs write COLMAP's worlds as they are into formats whose custom is another.
         opposite = guessed(-usual, -usual)
@@ -210,7 +212,7 @@ def _snapped(usual: Float64) -> list[Float64]:
     return [axis for axis in named if abs(axis @ usual) < 1 - 1e-9]
 
 
-def _score(surfaces: _Surfaces, up: Float64, custom: Float64) -> float:
+def _score(surfaces: _Surfaces, up: Float64, across: float, custom: Float64) -> float:
     """Score of a direction as up: by surfaces, by what stands on them, and by customs."""
     custom_score = _custom(up, custom)
     if not len(surfaces.weights):
@@ -220,7 +222,7 @@ def _score(surfaces: _Surfaces, up: Float64, custom: Float64) -> float:
     # Of normals of all directions so many would be at right angles to it.
     standing = float(w[slope < np.sin(STANDING)].sum()) - np.sin(STANDING)
     ground = min(1.0, float(w[lying].sum()) / GROUND) * _standing_on(surfaces, up, lying)
-    return _across(surfaces, up) + 0.7 * standing + 0.25 * ground + custom_score
+    return across + 0.7 * standing + 0.25 * ground + custom_score
 
 
 def _across(surfaces: _Surfaces, up: Float64) -> float:

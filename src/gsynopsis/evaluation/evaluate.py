@@ -5,7 +5,9 @@ from dataclasses import replace
 from statistics import fmean
 from typing import NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from gsynopsis.container import measure
 from gsynopsis.errors import SceneError
@@ -109,7 +111,7 @@ def measure_quality(
     Raises:
         DivergedError: a rendering is not finite.
     """
-    options = Options(tick=tick, pictures=0, inside=scene.judged)
+    options = Options(tick=tick, pictures=0)
     painter = LevelRenderer(decoder, renderer)
     count = len(levels.levels)
     with torch.no_grad():
@@ -185,7 +187,7 @@ def _compare_views(
     chosen = evenly(scene.test, options.pictures)
     for done, view in enumerate(scene.test, start=1):
         name = scene.views[view].name
-        truth = scene.image(view, factor)
+        truth, inside = scene.image(view, factor), scene.judged(view, factor)
         images = [painter.paint(scene.camera(view, factor), level) for level in range(count)]
         for level, image in enumerate(images):
             full = own = _compare(image, truth, options.lpips, device)
@@ -193,7 +195,7 @@ def _compare_views(
             if scale != factor:
                 small = painter.paint(scene.camera(view, scale), level)
                 own = _compare(small, scene.image(view, scale), options.lpips, device)
-            quality = _adjusted(_both(full, own), image, truth, view, factor, options)
+            quality = _adjusted(_both(full, own), image, truth, inside, options.exposure)
             scores.append(ViewScore(name, level, quality))
         if view in chosen:
             pictures.append(Pictures(name, truth, tuple(images)))
@@ -203,13 +205,12 @@ def _compare_views(
 
 
 def _adjusted(
-    quality: Quality, image: Image8, truth: Image8, view: int, factor: float, options: Options
+    quality: Quality, image: Image8, truth: Image8, inside: NDArray[np.bool_] | None, exposed: bool
 ) -> Quality:
     """The figures with those of the part inside a mask, and without the photo's exposure."""
-    inside = options.inside(view, factor) if options.inside else None
     if inside is not None:
         quality = replace(quality, psnr_masked=psnr_inside(image, truth, inside))
-    if options.exposure:
+    if exposed:
         quality = replace(quality, psnr_exposed=psnr_exposed(image, truth, inside))
     return quality
 
@@ -282,7 +283,7 @@ def _on_train(
     masked: list[list[float | None]] = [[] for _ in range(count)]
     for done, view in enumerate(views, start=1):
         truth = scene.image(view, factor)
-        inside = options.inside(view, factor) if options.inside else None
+        inside = scene.judged(view, factor)
         for level in range(count):
             image = painter.paint(scene.camera(view, factor), level)
             whole[level].append(psnr(image, truth))

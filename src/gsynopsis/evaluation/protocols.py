@@ -4,9 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from gsynopsis.evaluation.metrics import Image8, LearntMeasure, to_bytes
@@ -45,8 +43,6 @@ class Options:
             views at the photos' own size, and for training views.
         photo_pixels: Most pixels to render at the photos' own size, over all views and levels; of
             more views as many as fit, evenly apart, at least one. 0 leaves these figures out.
-        inside: Gives the pixels of a view inside its mask, [H, W], for its photo divided by a
-            factor; None: no masks.
         exposure: Measure also after the photos' exposure was removed.
     """
 
@@ -57,7 +53,6 @@ class Options:
     lpips: LearntMeasure | None = None
     tick: Callable[[int, int], None] | None = None
     photo_pixels: int = 0
-    inside: Callable[[int, float], NDArray[np.bool_] | None] | None = None
     exposure: bool = False
 
 

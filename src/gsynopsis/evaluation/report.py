@@ -126,6 +126,11 @@ class Quality:
     psnr_exposed: float | None = None
 
     @property
+    def masked(self) -> bool:
+        """Photos have masks, inside of which they count."""
+        return self.psnr_masked is not None
+
+    @property
     def psnr(self) -> float:
         """PSNR of what photos count for: inside of their masks where they have any, dB."""
         return self.psnr_full if self.psnr_masked is None else self.psnr_masked
@@ -137,7 +142,7 @@ class Quality:
         what is outside was not trained, and finer levels may be farther from it.
         """
         own = {**asdict(self), "psnr_full": self.psnr}
-        if self.psnr_masked is not None:
+        if self.masked:
             own["psnr_photo"] = None
         return {name: round(value, 5) for name, value in own.items() if value is not None}
 
@@ -272,6 +277,11 @@ class Report:
     photo: AtPhotoSize | None = None
     train_views: tuple[int, int] = (0, 0)
 
+    @property
+    def masked(self) -> bool:
+        """Photos have masks, inside of which `Quality.psnr` counts."""
+        return self.levels[-1].quality.masked
+
     def __repr__(self) -> str:
         """Counts; the figures of every view fill pages."""
         views = len({score.view for score in self.views})
@@ -350,7 +360,7 @@ def columns_of(report: Report) -> list[str]:
     if report.photo:
         named["PSNR at photo size"] = pixels(report.photo.width, report.photo.height)
     named["SSIM"] = named["PSNR"]
-    named["PSNR"] += ", inside the masks" if is_masked(report) else ""
+    named["PSNR"] += ", inside the masks" if report.masked else ""
     sized = {"PSNR at photo size": "PSNR"}
     return [f"{sized.get(n, n)}, {named[n]}" if n in named else n for n in COLUMNS]
 
@@ -365,7 +375,7 @@ def level_cells(score: LevelScore) -> list[str]:
         f"{quality.psnr:.2f}",
         f"{quality.ssim_full:.4f}",
         "n/a" if quality.flip_full is None else f"{quality.flip_full:.4f}",
-        _decibels(score.psnr_train if quality.psnr_masked is None else score.psnr_train_masked),
+        _decibels(score.psnr_train_masked if quality.masked else score.psnr_train),
         _decibels(quality.psnr_photo),
         pixels(*score.own_size),
         f"{quality.psnr_own:.2f}",
@@ -421,7 +431,7 @@ def report_table(report: Report) -> str:
 def sizes_text(report: Report) -> str:
     """Text on the images that the decibels are of, and the finest level at the photos' own size."""
     count = len({score.view for score in report.views})
-    where = " inside the masks" if is_masked(report) else ""
+    where = " inside the masks" if report.masked else ""
     said = f"dB: PSNR{where} of {count} {views_text(report)}"
     said += f" of {pixels(report.width, report.height)}"
     return f"{said}{at_photo_size_text(report)}{adjusted_text(report)}{train_text(report)}"
@@ -437,14 +447,14 @@ def at_photo_size_text(report: Report) -> str:
     size = pixels(photo.width, photo.height)
     some = "all" if photo.views == photo.held_out else f"{photo.views}, evenly chosen,"
     values = " ".join(_decibels(score.quality.psnr_photo) for score in report.levels)
-    whole = " of whole photos" if is_masked(report) else ""
+    whole = " of whole photos" if report.masked else ""
     return f"\n    {values} dB{whole} at the photos' own size, {size} ({some} of {photo.held_out})"
 
 
 def train_text(report: Report) -> str:
     """Line of the levels' PSNR on training photos; empty where none was measured."""
     lines, (some, count) = "", report.train_views
-    whole = ", whole" if is_masked(report) else ""
+    whole = ", whole" if report.masked else ""
     for name, where in (("psnr_train_masked", ", inside the masks"), ("psnr_train", whole)):
         values = [getattr(score, name) for score in report.levels]
         if values[-1] is not None:
@@ -453,15 +463,10 @@ def train_text(report: Report) -> str:
     return lines
 
 
-def is_masked(report: Report) -> bool:
-    """Photos have masks, inside of which `Quality.psnr` counts."""
-    return report.levels[-1].quality.psnr_masked is not None
-
-
 def adjusted_text(report: Report) -> str:
     """Figures of another part of each photo, a line each; empty where there are none."""
     lines, exposed = "", "in the right half, in the photo's exposure as the left half solves it"
-    whole = [("psnr_full", "of whole photos")] if is_masked(report) else []
+    whole = [("psnr_full", "of whole photos")] if report.masked else []
     for name, what in (*whole, ("psnr_exposed", exposed)):
         values = [getattr(score.quality, name) for score in report.levels]
         if values[-1] is not None:

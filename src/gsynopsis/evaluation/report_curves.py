@@ -85,11 +85,10 @@ def inline_svg(document: str) -> str:
 
 def _draw(axes: Axes, levels: Sequence[LevelScore], protocol: Protocol, panel: Panel) -> None:
     x = [score.sizes.bytes_compact / 2**20 for score in levels]
-    y = [float(getattr(score.quality, f"{panel.measure}_{protocol}")) for score in levels]
-    title = panel.title
-    if panel.measure == "psnr" and protocol == "full":
-        y = [score.quality.psnr for score in levels]
-        title += ", inside the masks" if levels[-1].quality.psnr_masked is not None else ""
+    name, title = f"{panel.measure}_{protocol}", panel.title
+    if name == "psnr_full" and levels[-1].quality.masked:
+        name, title = "psnr_masked", f"{title}, inside the masks"
+    y = [float(getattr(score.quality, name)) for score in levels]
     axes.plot(x, y, color=ACCENT, linewidth=2, marker="o", markersize=6, clip_on=False)
     for score, left, up in zip(levels, x, y, strict=True):
         axes.annotate(

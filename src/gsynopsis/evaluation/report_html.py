@@ -16,7 +16,6 @@ from gsynopsis.evaluation.report import (
     Pictures,
     Report,
     columns_of,
-    is_masked,
     level_cells,
     photos_text,
     settings_of,
@@ -66,7 +65,7 @@ def _summary(report: Report) -> list[tuple[str, str, str]]:
     """The four figures on top of the page: value, unit, name."""
     first, last = report.levels[0], report.levels[-1]
     at = f"pictures of {pixels(report.width, report.height)}"
-    at += ", inside the masks" if is_masked(report) else ""
+    at += ", inside the masks" if report.masked else ""
     return [
         (f"{last.quality.psnr:.2f}", "dB", f"PSNR of L{last.level}, {at}{_at_photos(report)}"),
         (f"{first.quality.psnr:.2f}", "dB", f"PSNR of L{first.level}, {at}"),

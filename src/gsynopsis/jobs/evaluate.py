@@ -96,7 +96,6 @@ def evaluate(
             provenance=provenance,
             tick=told,
             photo_pixels=measures.photo_pixels,
-            inside=scene.judged,
             exposure=measures.exposure,
             lpips=measures.lpips,
         )

@@ -38,7 +38,6 @@ from gsynopsis.jobs.splat_views import (
     known_cameras,
     painted,
     sheet_of,
-    small,
     splat_views,
 )
 from gsynopsis.model.splat_levels import Steps, levels_with_stand_ins, splat_levels
@@ -278,7 +277,7 @@ def without_coarse(given: SplatFile) -> SplatFile:
 
 def ranking_and_quality(found: Viewpoints) -> tuple[list[Camera], list[Camera]]:
     """Cameras from which splats are ranked, and others for figures, their pictures small enough."""
-    cameras = [small(camera, VIEWS_SIDE) for camera in found.cameras]
+    cameras = [camera.within(VIEWS_SIDE) for camera in found.cameras]
     if len(cameras) == 1:
         return cameras, cameras
     every = max(2, ALL_VIEWS // QUALITY_VIEWS)
@@ -399,7 +398,7 @@ def notes_of(
     tour = list(found.cameras) if found.given else list(found.cameras[:TOUR_VIEWS])
     circle = circle_of_cameras(tour, given.up)
     # Of found cameras the first is that which shows most, well.
-    first = small(first_view(tour, circle) if found.given else tour[0], VIEWS_SIDE)
+    first = (first_view(tour, circle) if found.given else tour[0]).within(VIEWS_SIDE)
     poster = poster_of(painted(model, 0, first, renderer))
     focals = focals_text([ANTIALIASED] * LEVELS_MAX)
     return {

@@ -122,7 +122,7 @@ def unused(error: InputError) -> str:
 def sheet_of(model: SplatModel, found: Viewpoints, renderer: Renderer) -> bytes:
     """The contact sheet of cameras as PNG."""
     some = evenly(found.cameras, SHEET_VIEWS)
-    pictures = [painted(model, 0, small(camera, SHEET_SIDE), renderer) for camera in some]
+    pictures = [painted(model, 0, camera.within(SHEET_SIDE), renderer) for camera in some]
     kind = "given" if found.given else "found"
     title = (
         f"{len(some)} of {len(found.cameras)} cameras that were {kind}; up is {up_text(found.up)}"
@@ -142,8 +142,3 @@ def evenly(cameras: Sequence[Camera], count: int) -> list[Camera]:
     """So many cameras from the whole row, or all where there are fewer."""
     rows = np.linspace(0, len(cameras) - 1, min(count, len(cameras))).round().astype(int)
     return [cameras[row] for row in rows]
-
-
-def small(camera: Camera, side: int) -> Camera:
-    """A camera whose image has a longer side of at most so many pixels."""
-    return camera.scaled(max(1.0, max(camera.width, camera.height) / side))

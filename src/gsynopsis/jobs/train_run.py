@@ -161,14 +161,13 @@ def pack_result(
     state: TrainState, preset: PresetName, out: Path, observer: Observer, options: RunOptions
 ) -> Report | None:
     """Write RUN/scene.gsyn and, if it is ordered, its report; says where they are."""
-    config, scene, path = state.context.config, state.context.scene, out / RESULT_FILE
+    config, path = state.context.config, out / RESULT_FILE
     measures = None
     if options.evaluate:
         measures = Options(
             frames=Measures.frames,
             provenance=provenance_of(state, preset, total_steps(config)),
             photo_pixels=options.photo_pixels,
-            inside=scene.judged,
             exposure=options.exposure or state.exposures is not None,
         )
     try:

@@ -28,7 +28,7 @@ from gsynopsis.formats.readers.base import SplatFile, rows_of
 from gsynopsis.jobs.fit_stand_ins import around
 from gsynopsis.jobs.import_splats import memory_line, splat_model, without_coarse
 from gsynopsis.jobs.options import RunOptions
-from gsynopsis.jobs.splat_views import Known, evenly, known_cameras, sheet_of, small, splat_views
+from gsynopsis.jobs.splat_views import Known, evenly, known_cameras, sheet_of, splat_views
 from gsynopsis.jobs.train_run import make_context, tell_plan, train_run
 from gsynopsis.model.build import make_frame
 from gsynopsis.model.splats import SplatModel
@@ -314,7 +314,7 @@ def parts_of(found: Viewpoints, teaching: Teaching) -> dict[str, list[Camera]]:
     Those that nothing is trained on are spread evenly over all; of fewer cameras than were asked
     for they are as many fewer.
     """
-    cameras = [small(camera, teaching.width) for camera in found.cameras]
+    cameras = [camera.within(teaching.width) for camera in found.cameras]
     share = 2 * teaching.held_out / (teaching.views + 2 * teaching.held_out)
     held = min(2 * teaching.held_out, 2 * max(1, round(share * len(cameras) / 2)))
     rows = (np.arange(held) * 2 + 1) * len(cameras) // (2 * held)
@@ -332,7 +332,7 @@ def parts_beside(
     A render from a photo's own place would tell what the photo tells.
     """
     count, chance = teaching.views + teaching.held_out, np.random.default_rng(0)
-    cameras = [small(camera, teaching.width) for camera in evenly(found.cameras, count)]
+    cameras = [camera.within(teaching.width) for camera in evenly(found.cameras, count)]
     scene = photos.scene
     near = [around(cameras[k % len(cameras)], scene.extent, chance) for k in range(count)]
     own = {"photos": photos.cameras(scene.train), "test": photos.cameras(scene.test)}

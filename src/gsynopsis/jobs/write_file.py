@@ -137,8 +137,8 @@ def write_file(
         quality = [score.quality for score in report.levels]
         size, photo = (report.width, report.height), report.photo
     figures = [each.figures() for each in quality]
-    masked = quality[-1].psnr_masked is not None
-    notes = quality_notes(context.config.split, scale, size, photo, masked=masked)
+    split = context.config.split
+    notes = quality_notes(split, scale, size, photo, masked=quality[-1].masked)
     utility = block_utilities(assembler, state, tick)
     notes |= sizes | ({UTILITY_NOTE: utility} if utility else {})
     publish(annotated(data, notes, figures, str(path)), path)

@@ -107,6 +107,10 @@ class Camera:
         """The camera of the photo divided by `factor`, sizes rounded to whole pixels."""
         return self.resized(*scaled_size(self.width, self.height, factor))
 
+    def within(self, side: int) -> "Camera":
+        """The camera of the photo whose longer side has at most `side` pixels."""
+        return self.scaled(max(1.0, max(self.width, self.height) / side))
+
     def shifted(self, shift: Shift) -> "Camera":
         """The same view, its pixels so far right and down of their places; -0.5 to 0.5 pixels."""
         return replace(self, cx=self.cx - shift[0], cy=self.cy - shift[1])

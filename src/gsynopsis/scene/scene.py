@@ -3,7 +3,7 @@
 import hashlib
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -193,13 +193,12 @@ class Scene:
         """True if any view in use has a mask."""
         return any(self.views[view].mask is not None for view in {*self.train, *self.test})
 
-    @property
-    def judged(self) -> Callable[[int, float], NDArray[np.bool_] | None] | None:
-        """Pixels of a photo that a model is judged by, as `inside` gives them; None: all.
+    def judged(self, view: int, factor: float = 1) -> NDArray[np.bool_] | None:
+        """Pixels of a view that a model is judged by, bool [H, W]; None: all.
 
-        All of them too where the outside of masks is trained to be empty.
+        Those inside its mask, unless the outside is trained to be empty.
         """
-        return self.inside if self.masked and self.reading.masks != "empty" else None
+        return None if self.reading.masks == "empty" else self.inside(view, factor)
 
     @cached_property
     def extent(self) -> float:

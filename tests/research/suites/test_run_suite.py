@@ -115,7 +115,8 @@ def test_a_suite_has_a_row_for_each_cell_and_level_and_a_page_without_links(done
 def test_rows_of_a_scene_with_masks_count_inside_of_them() -> None:
     scene, inside = fake_scene(), np.zeros((64, 96), bool)
     inside[:, :20] = True
-    options = Options(frames=1, pictures=0, inside=lambda view, factor: inside)
+    scene.judged = lambda view, factor: inside
+    options = Options(frames=1, pictures=0)
     model = LevelDecoder((0.2, 0.1, 0.04, 0.02))
     report = evaluate(model, level_set(), scene, renderer_of(scene), 1.0, options)
     cell = Cell("bust", "ours", 0, "bust", "standard")
