@@ -12,12 +12,13 @@ import zlib
 from pathlib import Path
 
 import pytest
-from PIL import Image
+from PIL import Image, ImageFile
 
 from gsynopsis.capture.photo_set import gather
 from gsynopsis.errors import SceneError
+from gsynopsis.scene.panoramas import has_panorama_tag
 from gsynopsis.scene.photos import check_photos, load_photo
-from gsynopsis.scene.stored import Decoding, read_header
+from gsynopsis.scene.stored import Decoding, exif_of, opened_photo, read_header
 
 SOURCE = Path(__file__).parent.parent.parent / "src" / "gsynopsis"
 POSTSCRIPT = b"""%!PS-Adobe-3.0 EPSF-3.0
@@ -52,6 +53,47 @@ def test_pillow_opens_files_of_others_in_one_place_with_formats_named() -> None:
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "Image.open"
     }
     assert calls == {"scene/stored.py": {"formats"}, "formats/readers/sog.py": {"formats"}}
+
+
+def with_tags(path: Path, behind: bool) -> Path:
+    """A PNG whose EXIF says that it lies on its side, before its pixels or behind them."""
+    image = Image.new("RGB", (60, 40), (9, 8, 7))
+    exif = image.getexif()
+    exif[0x0112] = 6
+    image.save(path, exif=exif)
+    if behind:
+        content = path.read_bytes()
+        start = content.index(b"eXIf") - 4
+        chunk = content[start : start + 12 + int.from_bytes(content[start : start + 4], "big")]
+        path.write_bytes(content.replace(chunk, b"")[:-12] + chunk + content[-12:])
+    return path
+
+
+@pytest.mark.parametrize("behind", [False, True])
+def test_headers_of_png_files_are_read_without_their_pixels(
+    tmp_path: Path, behind: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = with_tags(tmp_path / "a.png", behind)
+
+    def decodes(image: ImageFile.ImageFile) -> None:
+        raise AssertionError("pixels are decoded")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(ImageFile.ImageFile, "load", decodes)
+        header = read_header(path)
+        plain = read_header(black(tmp_path / "b.png", 200, 100))
+        with opened_photo(path) as image:
+            assert not has_panorama_tag(image)
+    assert (header.size, header.orientation, plain.orientation) == ((60, 40), 6, 1)
+    with opened_photo(path) as image:
+        assert exif_of(image)[0x0112] == 6
+        assert image.getpixel((30, 20)) == (9, 8, 7)  # its place in the file is as it was
+
+
+def test_a_png_that_breaks_off_has_no_tags(tmp_path: Path) -> None:
+    path = with_tags(tmp_path / "a.png", behind=True)
+    path.write_bytes(path.read_bytes()[:-40])
+    assert read_header(path).orientation == 1
 
 
 @pytest.mark.parametrize("content", [POSTSCRIPT, FITS + bytes(2800)], ids=["eps", "fits"])

@@ -24,6 +24,7 @@ from gsynopsis.scene.stored import (
     QUARTER_TURNS,
     SIXTEEN,
     colors_of,
+    exif_of,
     has_alpha,
     in_8_bits,
     in_srgb,
@@ -266,7 +267,7 @@ def _opened(path: Path, folder: Path, filmed: bool) -> Photo | None:
     """A photo whose pixels were all decoded; None if that cannot be done."""
     try:
         with opened_photo(path) as image:
-            tags, (width, height) = image.getexif(), image.size
+            tags, (width, height) = exif_of(image), image.size
             detail, turn = tags.get_ifd(0x8769), orientation_of(image)
             shaped, colors = is_wide(image), colors_of(image)
             decode_small(image)

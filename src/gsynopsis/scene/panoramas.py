@@ -5,7 +5,7 @@ import re
 import numpy as np
 from PIL import Image
 
-from gsynopsis.scene.stored import DECODE_ERRORS
+from gsynopsis.scene.stored import DECODE_ERRORS, exif_of
 
 CUT = (
     "cut each into perspective photos, such as with ffmpeg -i P.jpg -vf "
@@ -78,7 +78,7 @@ def has_focal_length(image: Image.Image) -> bool:
 
 def _detail(image: Image.Image) -> dict[int, object]:
     try:
-        return dict(image.getexif().get_ifd(0x8769))
+        return dict(exif_of(image).get_ifd(0x8769))
     except DECODE_ERRORS:
         return {}
 

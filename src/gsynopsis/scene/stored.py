@@ -5,16 +5,19 @@ are decoded under `DECODING`, so that several large photos are not in memory at 
 """
 
 import io
+import struct
 import threading
+import zlib
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, cast
+from typing import IO, Any, cast
 
 import numpy as np
 from PIL import Image, ImageCms, UnidentifiedImageError, features
+from PIL.PngImagePlugin import PngImageFile
 
 from gsynopsis.errors import SceneError
 from gsynopsis.files import open_regular
@@ -39,6 +42,11 @@ ORIENTATION = 0x0112
 """The EXIF tag."""
 QUARTER_TURNS = {5, 6, 7, 8}
 """Its values that swap width and height."""
+PNG_PIXELS = {b"IDAT", b"fdAT"}
+"""Chunks of a PNG that hold pixels."""
+PNG_END = struct.pack(">I4sI", 0, b"IEND", zlib.crc32(b"IEND"))
+LONGEST_TAG = 2**24
+"""Bytes of a PNG's other chunks, at most; longer ones are passed over."""
 SAME = 2
 """Most levels of 255 by which a profile that is sRGB in all but name differs from it."""
 
@@ -143,10 +151,42 @@ def read_header(path: Path) -> PhotoHeader:
 def orientation_of(image: Image.Image) -> int:
     """The EXIF orientation of an opened photo; 1 where it has none, or a damaged one."""
     try:
-        tag = image.getexif().get(ORIENTATION)
+        tag = exif_of(image).get(ORIENTATION)
     except DECODE_ERRORS:
         return 1
     return tag if isinstance(tag, int) and 1 <= tag <= 8 else 1
+
+
+def exif_of(image: Image.Image) -> Image.Exif:
+    """EXIF of an opened photo; no pixel is decoded.
+
+    A PNG may have it behind its pixels, and Pillow would decode all of them to get there.
+
+    Raises:
+        OSError, SyntaxError, ValueError: What is there is damaged, see `DECODE_ERRORS`.
+    """
+    if not isinstance(image, PngImageFile) or "exif" in image.info or image.fp is None:
+        return image.getexif()
+    bare = io.BytesIO(_without_pixels(image.fp))
+    with Image.open(bare, formats=("PNG",)) as header:
+        return Image.Image.getexif(header)
+
+
+def _without_pixels(png: IO[bytes]) -> bytes:
+    """An open PNG's bytes but for its pixels; where it is read next stays the same."""
+    place = png.tell()
+    try:
+        png.seek(0)
+        kept = [png.read(8)]
+        while len(head := png.read(8)) == 8:
+            length, name = struct.unpack(">I4s", head)
+            if name in PNG_PIXELS or length > LONGEST_TAG:
+                png.seek(length + 4, io.SEEK_CUR)
+            elif len(body := png.read(length + 4)) == length + 4:
+                kept.append(head + body)
+        return b"".join((*kept, PNG_END))
+    finally:
+        png.seek(place)
 
 
 def in_8_bits(image: Image.Image) -> Image.Image:
