@@ -207,3 +207,29 @@ def test_a_broken_account_of_an_estimation_changes_nothing(tmp_path: Path, text:
     (tmp_path / "scene.json").write_text(text)
     assert estimated_account(tmp_path).left_out == {}
     assert estimated_account(tmp_path / "nowhere").photos == 0
+
+
+def test_folders_of_pictures_that_nothing_reads_are_in_the_account(tiny: Make) -> None:
+    root = tiny(NAMES)
+    assert load_scene(root).account.beside == ()
+    for name in ("images_2", "depth", ".hidden", "few/deep"):
+        shutil.copytree(root / "images", root / name)
+    (phrase,) = load_scene(root).account.beside
+    assert phrase == "folders of pictures that are not read: depth (9), images_2 (9)"
+    shutil.copytree(root / "images", root / "images_mask")
+    (phrase,) = load_scene(root).account.beside
+    assert phrase.endswith(": masks are read from masks/, of their photos' names and sizes")
+
+
+def test_the_folder_of_a_project_says_in_which_of_its_folders_scenes_lie(
+    tiny: Make, tmp_path: Path
+) -> None:
+    root, project = tiny(NAMES), tmp_path / "project"
+    shutil.copytree(root, project / "data" / "posed")
+    shutil.copytree(root / "images", project / "photos" / "images")
+    (project / "docs").mkdir()
+    with pytest.raises(SceneError, match=r"one of the folders in it: data/posed, photos$"):
+        load_scene(project)
+    assert len(load_scene(project / "data" / "posed").views) == 9
+    with pytest.raises(SceneError, match="found 9 photos without camera poses"):
+        load_scene(project / "photos")

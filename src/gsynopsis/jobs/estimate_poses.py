@@ -52,7 +52,7 @@ from gsynopsis.scene.masks import warp_masks
 from gsynopsis.scene.other_poses import models_above, other_poses
 from gsynopsis.scene.programs.find import find_program
 from gsynopsis.scene.scene import Scene
-from gsynopsis.scene.search import find_models, photo_folder
+from gsynopsis.scene.search import find_models, photo_folder, unread_folders
 from gsynopsis.scene.spheres import Cut
 from gsynopsis.scene.transforms import find_transforms
 from gsynopsis.training.observer import Observer, Silent
@@ -233,6 +233,8 @@ def _with_beside(root: Path, gathered: PhotoSet, told: Observer) -> PhotoSet:
     beside = (*ours, *unread, *others, *models_above(root))
     for phrase in beside:
         told.on_message(f"estimating poses anew: {phrase}")
+    read = [photo.path for photo in gathered.photos]
+    beside += unread_folders(root, [*read, *gathered.masks.values()])
     return replace(gathered, account=gathered.account.with_unread_models(*beside))
 
 

@@ -16,7 +16,14 @@ from gsynopsis.scene.other_poses import models_above, other_poses
 from gsynopsis.scene.outliers import far_cameras, far_points
 from gsynopsis.scene.programs.find import find_program
 from gsynopsis.scene.scene import DEFAULT_OPTIONS, Scene, SceneOptions
-from gsynopsis.scene.search import count_photos, find_models, in_sparse, photo_folder
+from gsynopsis.scene.search import (
+    count_photos,
+    find_models,
+    in_sparse,
+    photo_folder,
+    places_below,
+    unread_folders,
+)
 from gsynopsis.scene.splits import Split, split_names
 from gsynopsis.scene.transforms import find_transforms, read_transforms
 from gsynopsis.scene.views import (
@@ -59,6 +66,9 @@ def load_scene(
         listing, shift = near_origin(with_fallback_points(_read(path, reading), found))
         listing = replace(listing, notes=listing.notes + check_listing(listing))
         listing = with_masks(path, listing, reading.masks)
+        read = [file for view in listing.views for file in (view.path, view.mask) if file]
+        others = unread_folders(path, read)
+        listing = replace(listing, account=listing.account.with_unread_models(*others))
     except OSError as error:
         # Folders without permission, names too long for the file system.
         where = error.filename or path
@@ -188,9 +198,12 @@ def _no_poses(path: Path, unread: tuple[str, ...]) -> SceneError:
         beside = (*unread, *other_poses(path, photo_folder(path), read=True), *models_above(path))
         advice = "; ".join((poses_advice(path), *beside))
         return NoPosesError(path, found=found, expected=expected, advice=advice)
+    below = places_below(path)
     return SceneError(
         path,
         found="neither a model in sparse/0 nor a transforms.json",
         expected="a scene",
-        advice="give a folder with images/ and sparse/0/ (COLMAP) or with a transforms.json",
+        advice=f"give one of the folders in it: {listed(below)}"
+        if below
+        else "give a folder with images/ and sparse/0/ (COLMAP) or with a transforms.json",
     )

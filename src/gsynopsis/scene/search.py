@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from gsynopsis.scene.account import listed
 from gsynopsis.scene.photos import is_photo
 
 MODEL_FILES = ("cameras", "images", "points3D")
@@ -34,6 +35,8 @@ NO_PICTURES = {
 }
 """Endings of what lies beside photos and is none."""
 CLUTTER = {"thumbs.db", "desktop.ini"}
+FEW = 3
+"""Pictures in a folder that are worth a word."""
 
 
 def find_models(root: Path) -> list[Path]:
@@ -105,6 +108,43 @@ def count_photos(root: Path) -> int:
     """Photos without poses; of those in subfolders of `root` itself, which may be scenes, none."""
     folder = photo_folder(root)
     return sum(map(is_photo, root.iterdir() if folder == root else files_in(folder)))
+
+
+def unread_folders(root: Path, used: Iterable[Path]) -> tuple[str, ...]:
+    """A phrase on folders right in `root` whose pictures nothing reads; none if there are none.
+
+    Args:
+        root: A scene's folder.
+        used: Photos, masks and folders that are read.
+    """
+    inside = {path.relative_to(root).parts[:1] for path in used if path.is_relative_to(root)}
+    pictures = {
+        folder.name: sum(map(is_photo, folder.iterdir()))
+        for folder in _folders(root)
+        if (folder.name,) not in inside
+    }
+    found = [f"{name} ({count})" for name, count in pictures.items() if count >= FEW]
+    masks = any(re.search("mask|matte|segm", name, re.I) for name in found)
+    advice = ": masks are read from masks/, of their photos' names and sizes" if masks else ""
+    return (f"folders of pictures that are not read: {listed(found)}{advice}",) if found else ()
+
+
+def places_below(root: Path) -> list[str]:
+    """Folders in `root`, at most two deep, that a scene or photos lie in, relative to it."""
+    found = list[str]()
+    for folder in _folders(root):
+        for place in (folder, *_folders(folder)):
+            posed = (place / "transforms.json").is_file() or any(find_models(place))
+            if posed or count_photos(place) >= FEW:
+                found.append(place.relative_to(root).as_posix())
+                if place is folder:
+                    break
+    return found
+
+
+def _folders(root: Path) -> list[Path]:
+    """Folders right in another, hidden ones left out, by name."""
+    return sorted(p for p in root.iterdir() if p.is_dir() and not p.name.startswith("."))
 
 
 class PhotoIndex:
