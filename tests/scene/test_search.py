@@ -233,3 +233,23 @@ def test_the_folder_of_a_project_says_in_which_of_its_folders_scenes_lie(
     assert len(load_scene(project / "data" / "posed").views) == 9
     with pytest.raises(SceneError, match="found 9 photos without camera poses"):
         load_scene(project / "photos")
+
+
+def test_where_most_photos_have_no_pose_the_account_says_how_to_estimate_them(tiny: Make) -> None:
+    root = tiny(NAMES)
+
+    def beside(names: list[str]) -> str:
+        for name in names:
+            shutil.copy(root / "images" / "0.png", root / "images" / name)
+        return " ".join(load_scene(root).account.beside)
+
+    assert beside([f"more{n}.png" for n in range(9)]) == ""
+    assert beside([f"{n}_depth_0001.png" for n in range(9)]) == ""
+    originals = root / "input"
+    originals.mkdir()
+    for n in range(19):
+        shutil.copy(root / "images" / "0.png", originals / f"{n}.png")
+    assert f"gsynopsis scene {originals} NEW" in beside([])
+    shutil.rmtree(originals)
+    said = beside(["last.png"])
+    assert said == f"most photos have no pose: gsynopsis scene {root} NEW estimates those of all"

@@ -1,5 +1,7 @@
 """Reads a scene's folder: photos, poses and points → `Scene`."""
 
+import os
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,10 +16,14 @@ from gsynopsis.scene.colmap.read import PlacedModel, best_model, not_read, read_
 from gsynopsis.scene.masks import points_inside, with_masks
 from gsynopsis.scene.other_poses import models_above, other_poses
 from gsynopsis.scene.outliers import far_cameras, far_points
+from gsynopsis.scene.photos import is_photo
 from gsynopsis.scene.programs.find import find_program
 from gsynopsis.scene.scene import DEFAULT_OPTIONS, Scene, SceneOptions
 from gsynopsis.scene.search import (
+    ORIGINALS,
+    PHOTO_FOLDERS,
     count_photos,
+    files_in,
     find_models,
     in_sparse,
     photo_folder,
@@ -27,6 +33,7 @@ from gsynopsis.scene.search import (
 from gsynopsis.scene.splits import Split, split_names
 from gsynopsis.scene.transforms import find_transforms, read_transforms
 from gsynopsis.scene.views import (
+    UNPOSED,
     SceneRecords,
     View,
     check_listing,
@@ -34,6 +41,9 @@ from gsynopsis.scene.views import (
     parallax_notes,
     with_fallback_points,
 )
+
+MAP = re.compile("[_.](?:depth|normal)", re.I)
+"""Beginning of what names of depth maps and normal maps have after their photo's."""
 
 
 def load_scene(
@@ -82,6 +92,9 @@ def load_scene(
     outside = tuple(view.name for view, out in zip(views, far, strict=True) if out)
     name, notes = path.resolve().name, listing.notes + _left_out(outside, len(views)) + notes
     scene = Scene(name, path, views, listing.points, listing.colors, train, test, notes, split)
+    listing = replace(
+        listing, account=listing.account.with_unread_models(*_advice_on_poses(path, listing))
+    )
     used = {*train, *test}
     unlisted = tuple(views[i].name for i in near if i not in used) if listing.lists else ()
     account = listing.account.without("far outside of the others", outside)
@@ -104,6 +117,25 @@ def load_scene(
     places = positions_of(views[view].camera for view in near)
     scene = replace(scene, notes=(*scene.notes, *parallax_notes(places, scene.points)))
     return _within_masks(scene) if reading.masks == "empty" and scene.masked else scene
+
+
+def _advice_on_poses(root: Path, listing: SceneRecords) -> tuple[str, ...]:
+    """A phrase where more photos lack a pose than have one: to estimate them all anew."""
+    known = {view.path.stem for view in listing.views}
+    bare = [
+        name
+        for name in listing.account.left_out.get(UNPOSED, ())
+        if MAP.split(Path(name).stem)[0] not in known
+    ]
+    folder = Path(os.path.commonpath([view.path.parent for view in listing.views]))
+    originals = root / ORIGINALS
+    if len(bare) > len(listing.views):
+        photos = root if folder.parent == root and folder.name in PHOTO_FOLDERS else folder
+    elif originals.is_dir() and sum(map(is_photo, files_in(originals))) > 2 * len(listing.views):
+        photos = originals
+    else:
+        return ()
+    return (f"most photos have no pose: gsynopsis scene {photos} NEW estimates those of all",)
 
 
 def _within_masks(scene: Scene) -> Scene:

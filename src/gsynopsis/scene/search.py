@@ -24,8 +24,10 @@ LAST_FOLDER = re.compile(r"\d+|text|txt|bin|models?", re.I)
 """Folders that may hold a model themselves; below one of the others also folders with models."""
 DEPTH = 4
 """Depth of the search for models below the scene's folder."""
-PHOTO_FOLDERS = ("images", "input")
-"""Names of folders of photos; `input` holds what gaussian-splatting's convert.py begins with."""
+ORIGINALS = "input"
+"""Folder of the photos that gaussian-splatting's convert.py begins with; it undistorts the posed."""
+PHOTO_FOLDERS = ("images", ORIGINALS)
+"""Names of folders of photos."""
 MASK_FOLDERS = {"masks", "mask"}
 MASK_ENDS, MASK_KINDS = ("_mask", ".mask"), (".png", ".jpg", ".jpeg")
 """Ends of names of masks that lie beside their photos, `a_mask.png` beside `a.jpg`."""
