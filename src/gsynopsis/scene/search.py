@@ -25,7 +25,7 @@ LAST_FOLDER = re.compile(r"\d+|text|txt|bin|models?", re.I)
 DEPTH = 4
 """Depth of the search for models below the scene's folder."""
 ORIGINALS = "input"
-"""Folder of the photos that gaussian-splatting's convert.py begins with; it undistorts the posed."""
+"""Folder of the photos that gaussian-splatting's convert.py begins with, before undistortion."""
 PHOTO_FOLDERS = ("images", ORIGINALS)
 """Names of folders of photos."""
 MASK_FOLDERS = {"masks", "mask"}
