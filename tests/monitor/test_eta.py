@@ -3,9 +3,12 @@
 import pytest
 
 from gsynopsis.config import Config, Joint, resolve_settings, total_steps
-from gsynopsis.monitor.eta import PhaseCost, TimeLeft, joint_cost, phase_costs, steps_text
+from gsynopsis.monitor.eta import REST, PhaseCost, TimeLeft, joint_cost, phase_costs, steps_text
 from gsynopsis.monitor.listeners import Listeners
 from gsynopsis.training.observer import Silent, StepInfo
+
+PIXELS = REST * 2 / 3
+"""Pixels of a picture whose pixels take 0.4 of a first step."""
 
 
 def with_steps(preset: str, steps: int) -> Config:
@@ -29,7 +32,7 @@ def times(config: Config, growth: float) -> list[tuple[str, int, int, float]]:
     """Phase, step, steps and seconds of each step of a training like fox's: the levels draw three
     pictures a step, and growth makes each dearer, not as the plan thinks."""
     found: list[tuple[str, int, int, float]] = []
-    for cost in phase_costs(config):
+    for cost in phase_costs(config, PIXELS):
         for step in range(1, cost.steps + 1):
             grown = 1 + growth * min(1.0, step / (0.7 * cost.steps))
             each = 0.047 * (grown if cost.name == "full" else 2.4 * (1 + growth))
@@ -43,7 +46,7 @@ def test_the_time_left_is_that_of_all_phases_with_their_own_costs(
     growth: float, steps: int
 ) -> None:
     config, now, heard = with_steps("standard", steps), 100.0, Heard()
-    estimate = Listeners([heard], TimeLeft(phase_costs(config), lambda: now))
+    estimate = Listeners([heard], TimeLeft(phase_costs(config, PIXELS), lambda: now))
     plan = times(config, growth)
     truth = sum(seconds for *_, seconds in plan)
     actual: list[float] = []
@@ -76,7 +79,7 @@ def test_short_trainings_are_not_worth_a_line() -> None:
 @pytest.mark.parametrize("name", ["draft", "standard", "max", "paper"])
 def test_phases_are_those_of_the_training_and_cost_more_with_growth(name: str) -> None:
     config = resolve_settings(name).config
-    costs = phase_costs(config)
+    costs = phase_costs(config, PIXELS)
     assert sum(cost.steps for cost in costs) == total_steps(config)
     assert costs[0].at(0) == 1.0 < costs[0].end == costs[0].at(costs[0].steps)
     assert costs[0].after(0) > costs[0].after(10) > costs[0].after(costs[0].steps) == 0
@@ -98,9 +101,9 @@ def test_steps_are_said_as_what_they_become() -> None:
 
 def test_steps_of_smaller_photos_cost_less_and_are_summed_so() -> None:
     asked = {"train.reduced_until": (0.2, 0.6), "train.steps": 400, "levels.steps": 600}
-    full, joint = phase_costs(resolve_settings("standard", None, asked).config)
+    full, joint = phase_costs(resolve_settings("standard", None, asked).config, PIXELS)
     plain, _ = phase_costs(
-        resolve_settings("standard", None, asked | {"train.reduced_until": ()}).config
+        resolve_settings("standard", None, asked | {"train.reduced_until": ()}).config, PIXELS
     )
     shares = [full.at(step) / plain.at(step) for step in (0, 199, 200, 399)]
     assert shares == pytest.approx([0.625, 0.625, 0.7, 0.7])
@@ -113,11 +116,18 @@ def test_steps_of_smaller_photos_cost_less_and_are_summed_so() -> None:
         assert cost.after(cost.steps) == 0
 
 
+def test_pixels_of_large_photos_take_most_of_a_step() -> None:
+    asked = {"train.reduced_until": (0.3, 0.6), "train.steps": 1000}
+    config = resolve_settings("standard", None, asked).config
+    small = [phase_costs(config, pixels)[0].small[0][1] for pixels in (0.1 * REST, 8 * REST)]
+    assert small[0] > 0.9 and small[1] < 0.2
+
+
 def test_a_training_without_growth_has_an_estimate_too() -> None:
     config = resolve_settings("standard", None, {"train.growth.until": 0.0}).config
     now, heard = 100.0, Heard()
-    full = phase_costs(config)[0]
-    estimate = Listeners([heard], TimeLeft(phase_costs(config), lambda: now))
+    full = phase_costs(config, PIXELS)[0]
+    estimate = Listeners([heard], TimeLeft(phase_costs(config, PIXELS), lambda: now))
     for step in range(1, full.steps + 1):
         now += 0.1
         estimate.on_step(StepInfo("full", step, full.steps, 0.1, 20.0, 100, 2**29))

@@ -272,4 +272,7 @@ def _listeners(
             writers.append(held.enter_context(closing(TensorBoardWriter(out))))
         if writers:
             observers.append(snapshots_of(state, writers))
-    return Listeners(observers, TimeLeft(phase_costs(state.context.config))), page
+    scene, config = state.context.scene, state.context.config
+    camera = scene.camera(scene.train[0], config.scale)
+    costs = phase_costs(config, camera.width * camera.height)
+    return Listeners(observers, TimeLeft(costs)), page

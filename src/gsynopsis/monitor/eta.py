@@ -21,8 +21,8 @@ WORTH_SECONDS = 60.0
 GROWTH, GROWTH_STEPS = 0.9, 1_500
 """Growth makes a step dearer by this share in so many steps of full training, at most twice as dear
 (fox and the demo scene; more is seen when it comes)."""
-PIXELS = 0.4
-"""Share of a step that a level takes without any anchor: pixels, loss, photo (as above)."""
+REST = 250_000
+"""Pixels that take as long as a first step's work on anchors (two scenes, three sizes)."""
 
 
 @dataclass(frozen=True)
@@ -70,37 +70,49 @@ class PhaseCost:
         return rising * (self._whole(step) + self.end) / 2 + flat * self.end
 
 
-def phase_costs(config: Config) -> list[PhaseCost]:
-    """The phases of a training, in order, by what is known before it starts."""
+def phase_costs(config: Config, pixels: float) -> list[PhaseCost]:
+    """The phases of a training, in order, by what is known before it starts.
+
+    Args:
+        config: Its settings.
+        pixels: Pixels of a picture.
+    """
+    own = pixels / (pixels + REST)  # share of a step that a level takes without any anchor
     levels, growth = config.levels, config.train.growth
     grown = 1.0 + min(1.0, GROWTH * config.train.steps / GROWTH_STEPS)
     shares = list(accumulate(levels.keep, lambda a, b: a * b, initial=1.0))[::-1]
-    level_costs = [PIXELS + (1 - PIXELS) * share for share in shares]
+    level_costs = [own + (1 - own) * share for share in shares]
     found: list[PhaseCost] = []
     for phase in phases_of(config):
         if phase.name == "full":
-            small = small_photos(config, 0)
+            small = small_photos(config, 0, own)
             found.append(PhaseCost("full", phase.steps, 1.0, grown, growth.until, small))
         elif isinstance(levels, Joint):
             each = grown * joint_cost(levels, level_costs)
-            small = small_photos(config, config.train.steps)
+            small = small_photos(config, config.train.steps, own)
             found.append(PhaseCost(phase.name, phase.steps, each, each, small=small))
         else:
             number = int(phase.name.removeprefix("unfold L"))
-            pixels = (config.scale / level_scale(config, number)) ** 2
-            each = grown * (PIXELS * pixels + (1 - PIXELS) * shares[number])
+            fewer = (config.scale / level_scale(config, number)) ** 2
+            each = grown * (own * fewer + (1 - own) * shares[number])
             found.append(PhaseCost(phase.name, phase.steps, each, each))
     return found
 
 
-def small_photos(config: Config, before: int) -> tuple[tuple[float, float], ...]:
-    """`PhaseCost.small` of a phase that begins after so many steps, see `reduced_until`."""
+def small_photos(config: Config, before: int, own: float) -> tuple[tuple[float, float], ...]:
+    """`PhaseCost.small` of a phase that begins after so many steps, see `reduced_until`.
+
+    Args:
+        config: Settings of the training.
+        before: Steps before the phase.
+        own: Share of a step with whole photos that their pixels take.
+    """
     every = config.train.steps + (config.levels.steps if isinstance(config.levels, Joint) else 0)
     untils = sorted(config.train.reduced_until)
-    pixels = [4.0 ** -(len(untils) - place) for place in range(len(untils))]
+    fewer = [4.0 ** -(len(untils) - place) for place in range(len(untils))]
     return tuple(
-        (until * every - before, 1 - PIXELS + PIXELS * share)
-        for until, share in zip(untils, pixels, strict=True)
+        (until * every - before, 1 - own + own * share)
+        for until, share in zip(untils, fewer, strict=True)
         if until * every > before
     )
 
@@ -116,7 +128,7 @@ def joint_cost(levels: Joint, level_costs: Sequence[float]) -> float:
 
 def steps_text(config: Config) -> str:
     """Steps of each phase as text: `300 steps full + 500 joint = 800`."""
-    costs = phase_costs(config)
+    costs = phase_costs(config, REST)
     parts = [f"{costs[0].steps:,} steps {costs[0].name}"]
     parts += [f"{cost.steps:,} {cost.name}" for cost in costs[1:]]
     return f"{' + '.join(parts)} = {sum(cost.steps for cost in costs):,}"
