@@ -127,10 +127,11 @@ def _advice_on_poses(root: Path, listing: SceneRecords) -> tuple[str, ...]:
         for name in listing.account.left_out.get(UNPOSED, ())
         if MAP.split(Path(name).stem)[0] not in known
     ]
-    folder = Path(os.path.commonpath([view.path.parent for view in listing.views]))
     originals = root / ORIGINALS
     if len(bare) > len(listing.views):
-        photos = root if folder.parent == root and folder.name in PHOTO_FOLDERS else folder
+        folder = Path(os.path.commonpath([view.path.parent.absolute() for view in listing.views]))
+        inside = folder.parent == root.absolute() and folder.name in PHOTO_FOLDERS
+        photos = root if inside else folder
     elif originals.is_dir() and sum(map(is_photo, files_in(originals))) > 2 * len(listing.views):
         photos = originals
     else:
