@@ -128,10 +128,10 @@ def joint_cost(levels: Joint, level_costs: Sequence[float]) -> float:
 
 def steps_text(config: Config) -> str:
     """Steps of each phase as text: `300 steps full + 500 joint = 800`."""
-    costs = phase_costs(config, REST)
-    parts = [f"{costs[0].steps:,} steps {costs[0].name}"]
-    parts += [f"{cost.steps:,} {cost.name}" for cost in costs[1:]]
-    return f"{' + '.join(parts)} = {sum(cost.steps for cost in costs):,}"
+    full, *others = phases_of(config)
+    parts = [f"{full.steps:,} steps {full.name}"]
+    parts += [f"{phase.steps:,} {phase.name}" for phase in others]
+    return f"{' + '.join(parts)} = {sum(phase.steps for phase in (full, *others)):,}"
 
 
 class TimeLeft:

@@ -78,7 +78,6 @@ def load_scene(
         listing = with_masks(path, listing, reading.masks)
         read = [file for view in listing.views for file in (view.path, view.mask) if file]
         others = unread_folders(path, read)
-        listing = replace(listing, account=listing.account.with_unread_models(*others))
     except OSError as error:
         # Folders without permission, names too long for the file system.
         where = error.filename or path
@@ -92,12 +91,10 @@ def load_scene(
     outside = tuple(view.name for view, out in zip(views, far, strict=True) if out)
     name, notes = path.resolve().name, listing.notes + _left_out(outside, len(views)) + notes
     scene = Scene(name, path, views, listing.points, listing.colors, train, test, notes, split)
-    listing = replace(
-        listing, account=listing.account.with_unread_models(*_advice_on_poses(path, listing))
-    )
     used = {*train, *test}
     unlisted = tuple(views[i].name for i in near if i not in used) if listing.lists else ()
-    account = listing.account.without("far outside of the others", outside)
+    account = listing.account.with_unread_models(*others, *_advice_on_poses(path, listing))
+    account = account.without("far outside of the others", outside)
     account = replace(
         account.without("of other split lists or none", unlisted),
         photos=len(used),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gsynopsis.scene.account import listed
-from gsynopsis.scene.search import PHOTO_FOLDERS, find_models
+from gsynopsis.scene.search import PHOTO_FOLDERS, has_poses
 
 HEAD = 4096
 """First bytes of a file, by which it is recognised."""
@@ -112,8 +112,8 @@ def models_above(folder: Path) -> tuple[str, ...]:
     above = folder.resolve().parent
     if folder.name not in PHOTO_FOLDERS:
         return ()
-    known = (above / "transforms.json").is_file() or any(find_models(above))
-    return (f"the folder above has poses that are not read: give {above}",) if known else ()
+    said = f"the folder above has poses that are not read: give {above}"
+    return (said,) if has_poses(above) else ()
 
 
 def _matches(known: Format, path: Path) -> bool:

@@ -133,15 +133,19 @@ def unread_folders(root: Path, used: Iterable[Path]) -> tuple[str, ...]:
 
 def places_below(root: Path) -> list[str]:
     """Folders in `root`, at most two deep, that a scene or photos lie in, relative to it."""
-    found = list[str]()
+    found = list[Path]()
     for folder in _folders(root):
-        for place in (folder, *_folders(folder)):
-            posed = (place / "transforms.json").is_file() or any(find_models(place))
-            if posed or count_photos(place) >= FEW:
-                found.append(place.relative_to(root).as_posix())
-                if place is folder:
-                    break
-    return found
+        found += [folder] if _is_scene(folder) else filter(_is_scene, _folders(folder))
+    return [place.relative_to(root).as_posix() for place in found]
+
+
+def has_poses(folder: Path) -> bool:
+    """True if a folder holds a transforms.json or a COLMAP model."""
+    return (folder / "transforms.json").is_file() or any(find_models(folder))
+
+
+def _is_scene(folder: Path) -> bool:
+    return has_poses(folder) or count_photos(folder) >= FEW
 
 
 def _folders(root: Path) -> list[Path]:
