@@ -67,6 +67,9 @@ def test_a_block_has_those_splats_decoded_that_it_changes(
     assert found["wrong"] == 0
     assert found["expected"] <= found["decoded"] <= most * found["expected"]
     assert (found["decoded"] > found["expected"]) == (most > 1)
+    # Who sees no level between has the base decoded twice at most, and all else once.
+    assert found["late"]["wrong"] == 0
+    assert found["late"]["decoded"] <= min(most, 1.5) * found["expected"]
     # From the same eye nothing is decoded, but whoever asks is answered.
     assert found["waits"] == [False, True, True]
     assert found["pieces"][:2] == [0, 0]

@@ -4,8 +4,9 @@
 #include <wasm_simd128.h>
 
 #define EXPORT(name) __attribute__((export_name(#name)))
-#define ROUND4(n) (((n) + 3) & ~3)
 typedef uint32_t u32;
+/// Unrolled although the build is for size: an array of sums has to stay in registers.
+#define UNROLL _Pragma("clang loop unroll(full)")
 
 /// Trilinear features of one hash grid at n points u [n, 3]; row i goes to out + i * stride.
 EXPORT(gather) void gather(const float *u, u32 n, const float *table, u32 size, u32 resolution,
@@ -68,14 +69,14 @@ EXPORT(dense) void dense(const float *x, u32 n, u32 ins, u32 stride, const float
     u32 o = 0;
     for (; o + 32 <= outs; o += 32) {
       v128_t s[8];
-      for (int k = 0; k < 8; k++) s[k] = wasm_v128_load(begin + o + 4 * k);
+      UNROLL for (int k = 0; k < 8; k++) s[k] = wasm_v128_load(begin + o + 4 * k);
       const float *w = weights + o;
       for (u32 j = 0; j < ins; j++, w += outs) {
         const v128_t v = wasm_v128_load32_splat(row + j);
-        for (int k = 0; k < 8; k++)
+        UNROLL for (int k = 0; k < 8; k++)
           s[k] = wasm_f32x4_add(s[k], wasm_f32x4_mul(wasm_v128_load(w + 4 * k), v));
       }
-      for (int k = 0; k < 8; k++)
+      UNROLL for (int k = 0; k < 8; k++)
         wasm_v128_store(to + o + 4 * k, relu ? wasm_f32x4_pmax(zero, s[k]) : s[k]);
     }
     for (; o < outs; o += 4) {

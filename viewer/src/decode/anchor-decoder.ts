@@ -88,15 +88,14 @@ export class Decoder {
    * Yields between batches, so that the caller can look after other things.
    */
   *refresh(cap: number, eye: Vector, ranges?: readonly (readonly [number, number])[]): Generator<void, void, void> {
-    const { tables, index, room } = this.assembler;
-    const { splats, batch } = this;
-    this.seen = splats ? null : viewBoundsOf(this.assembler.manifest);
+    const { splats, batch, assembler } = this;
+    this.seen = splats ? null : viewBoundsOf(assembler.manifest);
     this.eye = this.known(eye);
     const finest = Math.min(cap, this.finestShared);
     if (finest < 0) return;
     batch.clear(0);
-    if (!splats) this.reserve(tables.brought.length);
-    const n = Math.min(room < Infinity ? room : index.levels[finest].anchors, tables.region.length);
+    if (!splats) this.reserve(assembler.tables.brought.length);
+    const n = assembler.rowsUpTo(finest).anchors;
     for (const [first, count] of ranges ?? [[0, n]]) {
       const end = Math.max(first, Math.min(n, first + count));
       const words = new Uint32Array(splats ? (end - first) * WORDS : 0);
@@ -105,7 +104,7 @@ export class Decoder {
       for (let anchor = first; anchor < end; anchor++) {
         if (splats && anchor % BATCH === 0) yield;
         // Tables that have grown meanwhile are others.
-        const { brought, region } = this.assembler.tables;
+        const { brought, region } = assembler.tables;
         if (region[anchor] === NOWHERE) continue;
         const level = Math.min(region[anchor], finest);
         if (splats) {
@@ -128,7 +127,12 @@ export class Decoder {
   /** Rows that look otherwise with a block than without, as ranges [first, count]. */
   rangesOf(record: BlockRecord): [number, number][] {
     const ranges = Assembler.rangesOf(record);
-    return this.splats?.changesAt(ranges.length - 1) === false ? ranges.slice(-1) : ranges;
+    return this.changesAt(ranges.length - 1) ? ranges : ranges.slice(-1);
+  }
+
+  /** Tell whether what coarser levels brought looks otherwise at this level than at the one before. */
+  changesAt(level: number): boolean {
+    return this.splats?.changesAt(level) ?? true;
   }
 
   /** Draw nothing in these slots; splats that are gone are left out when they are decoded again. */

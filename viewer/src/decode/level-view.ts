@@ -1,6 +1,6 @@
 /** One level as it is shown: what of it has to be decoded next, and what was. */
 
-import { Assembler } from "../format/assembler";
+import { Assembler, NOWHERE } from "../format/assembler";
 import type { Decoder } from "./anchor-decoder";
 import type { BlockRecord } from "../format/directory";
 import type { Attributes } from "./messages";
@@ -22,6 +22,8 @@ export interface Changes {
 export class LevelView {
   /** All anchors, or those of blocks that came since; none where only an answer is awaited, null where nothing is. */
   private stale: "all" | BlockRecord[] | null = "all";
+  /** Blocks of levels between, whose looks may be over before anybody sees them. */
+  private passing: BlockRecord[] = [];
   private seenFrom: readonly [number, number, number] | null = null;
   /** The level shown last; -1 before anything was. */
   private finest = -1;
@@ -33,12 +35,30 @@ export class LevelView {
     public cap: number,
   ) {}
 
+  /** Show no finer than a level, and answer in any case. */
+  setCap(cap: number): void {
+    if (cap !== this.cap) this.refreshAll();
+    this.cap = cap;
+    this.stale ??= [];
+  }
+
   get waits(): boolean {
     return this.stale !== null;
   }
 
   refreshAll(): void {
     this.stale = "all";
+    this.passing = [];
+  }
+
+  /** Blocks wait for `showPassing`. */
+  get holdsBack(): boolean {
+    return this.passing.length > 0;
+  }
+
+  /** Decode blocks of levels between too: somebody is there to see them. */
+  showPassing(): void {
+    for (const record of this.passing.splice(0)) this.addStale(record);
   }
 
   /** Decode again for an eye from which something looks otherwise: anything, and with an answer in any case, if `exact`. */
@@ -47,11 +67,16 @@ export class LevelView {
     const before = seenFrom && decoder.known(seenFrom);
     const moved = before ? Math.hypot(...decoder.known(eye.position).map((value, i) => value - before[i])) : Infinity;
     if (moved > (exact ? 0 : MOVED * assembler.index.header.extent)) this.refreshAll();
-    if (exact) this.stale ??= [];
+    if (!exact) return;
+    this.stale ??= [];
+    this.showPassing();
   }
 
+  /** Decode what looks otherwise with a block: at once if it is of the base or of the level shown. */
   addBlock(record: BlockRecord): void {
-    if (this.stale !== "all") this.stale = [...(this.stale ?? []), record];
+    const level = record.rows.length - 1;
+    if (level && level < this.cap) this.passing.push(record);
+    else this.addStale(record);
   }
 
   /** Draw no more what an evicted block brought, and keep no features of its anchors, whose rows others get. */
@@ -59,20 +84,40 @@ export class LevelView {
     const { decoder, assembler } = this;
     decoder.clear(...assembler.slotsOf(level, record));
     decoder.dropFeatures(...Assembler.rangesOf(record)[level]);
-    this.addBlock(record);
+    this.addStale(record);
+  }
+
+  private addStale(record: BlockRecord): void {
+    const stale = (this.stale ??= []);
+    if (stale !== "all") stale.push(record);
+  }
+
+  /** Rows that look otherwise with a block, but those that a finer one, which has come too, changes again. */
+  private *rangesOf(record: BlockRecord): Generator<readonly [number, number]> {
+    const { decoder, assembler: { tables: { region }, index: { levels } } } = this;
+    let again = record.rows.length;
+    while (again < levels.length && !decoder.changesAt(again)) again++;
+    for (const [first, count] of decoder.rangesOf(record)) {
+      const end = first + count;
+      for (let row = first, from = first; row <= end; row++) {
+        if (row < end && (region[row] < again || region[row] === NOWHERE)) continue;
+        if (row > from) yield [from, row - from];
+        from = row + 1;
+      }
+    }
   }
 
   /** Send all again: the page has lost what it had. */
   restart(): void {
     this.finest = -1;
-    this.stale = "all";
+    this.refreshAll();
   }
 
   /** Decode what is stale, with a `pause` now and then. */
   async decode(eye: ViewPose, pause: () => Promise<void>): Promise<Changes> {
     const { decoder, assembler, cap } = this;
     const stale = this.stale ?? [];
-    const ranges = stale === "all" ? undefined : stale.flatMap((record) => decoder.rangesOf(record));
+    const ranges = stale === "all" ? undefined : stale.flatMap((record) => [...this.rangesOf(record)]);
     this.stale = null;
     // Blocks are decoded for the eye of what is there already; a view that moved decodes all.
     const from = ranges && this.seenFrom ? this.seenFrom : eye.position;

@@ -65,6 +65,8 @@ export type ToDecoder =
   /** The device shows no finer level. */
   | { readonly type: "most"; readonly most: number }
   | { readonly type: "pause"; readonly paused: boolean }
+  /** Attributes are sorted: those of levels between would be seen. */
+  | { readonly type: "seen" }
   | { readonly type: "again" };
 
 export type FromDecoder =

@@ -42,6 +42,8 @@ export class DecodeSession {
   private last: { level: number; bytes: number } | null = null;
   private complete = false;
   private running = false;
+  /** Attributes are on their way to a picture: what is soon over waits for it. */
+  private unseen = false;
 
   constructor(
     private readonly scope: WorkerScope,
@@ -87,6 +89,9 @@ export class DecodeSession {
       case "pause":
         this.loader.poke(message.paused);
         break;
+      case "seen":
+        this.hasSeen();
+        break;
       case "again":
         this.sendCenters();
         for (const look of this.looks) look?.restart();
@@ -114,10 +119,8 @@ export class DecodeSession {
     this.loader.cap = Math.max(this.loader.cap, cap);
     this.loader.poke();
     const look = this.looks[side];
-    if (look) {
-      look.cap = cap;
-      look.refreshAll();
-    } else this.makeLook(side);
+    if (look) look.setCap(cap);
+    else this.makeLook(side);
     this.work();
   }
 
@@ -185,10 +188,18 @@ export class DecodeSession {
   /** Do not wait for blocks that get no rows. */
   private rest(bytes: number): void {
     this.last = { level: this.most, bytes };
-    if (!this.running) this.tellComplete();
+    this.hasSeen();
+  }
+
+  private hasSeen(): void {
+    this.unseen = false;
+    this.work();
   }
 
   private levelReady(level: number, bytes: number): void {
+    const { room, index: { levels } } = this.assembler!;
+    // All tables at once, which cost nothing until they are filled; without room for them the device still shows a coarser level.
+    if (!level && room === Infinity) try { this.assembler!.reserve(levels[this.most]); } catch { /* Said when that level comes. */ }
     this.ready.push({ level, bytes });
     if (!this.base) {
       this.base = true;
@@ -197,8 +208,8 @@ export class DecodeSession {
     this.work();
   }
 
-  /** Send the centres of slots, of all by default. */
-  private sendCenters(first = 0, count = this.assembler?.tables.brought.length): void {
+  /** Send the centres of slots, of all that may have come by default. */
+  private sendCenters(first = 0, count = this.assembler?.rowsUpTo(this.most).live): void {
     const decoder = this.looks[0]?.decoder;
     if (!decoder || !count) return;
     const centers = decoder.centers(first, count);
@@ -222,17 +233,21 @@ export class DecodeSession {
 
   private async workOn(): Promise<void> {
     while (this.looks[0] && this.base && this.eye) {
-      const side = this.looks[0].waits || this.ready.length ? 0 : 1;
+      const { level = -1 } = this.ready.at(-1) ?? this.last ?? {};
+      if (!this.unseen || level >= this.caps[0]) for (const look of this.looks) look?.showPassing();
+      const due = this.looks[0].holdsBack ? 0 : this.ready.length;
+      const side = this.looks[0].waits || due ? 0 : 1;
       const look = this.looks[side];
       if (!look || (side && !look.waits)) break;
       const { eye, serial } = this;
-      const ready = side ? [] : this.ready.splice(0);
+      const ready = this.ready.splice(0, side ? 0 : due);
       const begun = performance.now();
       const changes = await look.decode(eye, pause);
       const transfer = changes.pieces.flatMap(({ words, drawn }) => [words.buffer, drawn.buffer]);
       const seconds = (performance.now() - begun) / 1000;
       // Where regions stand at different levels, the coarsest counts.
       const focals = trainingFocalsOf(this.assembler!.manifest, Math.min(look.cap, Math.max(0, this.assembler!.levelsReady - 1)));
+      this.unseen = true;
       // A side that was closed meanwhile is not shown again.
       if (this.looks[side] === look) this.post({ type: "attributes", side, ...changes, focals, serial, seconds }, transfer);
       this.tellMemory();

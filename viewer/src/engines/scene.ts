@@ -183,7 +183,7 @@ export class Splats {
   private takeOrder(sorted: Sorted): void {
     const { pane, tables } = this;
     if (!pane || !tables) return;
-    pane.takeOrder(sorted, tables, () => undefined);
+    pane.takeOrder(sorted, tables, () => { this.feed.tell({ type: "seen" }); });
     this.tellBase();
     this.waiting = this.waiting.filter(({ serial, resolve }) => {
       if (!pane.isSettled(0) || pane.sortedFor < serial) return true;

@@ -89,6 +89,14 @@ export class Assembler {
     return true;
   }
 
+  /** Rows of anchors and of slots in which blocks up to a level stand, as far as there are any. */
+  rowsUpTo(level: number): Pick<LevelEntry, "anchors" | "live"> {
+    const { room, tables: { region, brought }, index, held } = this;
+    const finest = held.reduce((found, { size }, k) => (size ? k : found), 0);
+    const { anchors, live } = room < Infinity ? { anchors: room, live: room } : index.levels[Math.min(level, finest)];
+    return { anchors: Math.min(anchors, region.length), live: Math.min(live, brought.length) };
+  }
+
   hasBlock(level: number, block: number): boolean {
     return this.held[level].has(block);
   }
@@ -147,6 +155,7 @@ export class Assembler {
     if (!level || this.room === Infinity) this.reserve(this.index.levels[level]);
     if (hasSplats(this.index.header)) this.placeSplats(level, record, block);
     else this.place(level, record, block, where);
+    freeMemory(...Object.values(block as unknown as Record<string, ArrayBufferView>));
     this.held[level].add(number);
   }
 

@@ -4,6 +4,7 @@ import { fromPlanes, rawBytes } from "./codecs";
 import { MORTON_HEAD, columnBytes, maskBits } from "./directory";
 import type { BlockRecord } from "./directory";
 import { ViewerError, mismatch } from "../base/errors";
+import { freeMemory } from "../base/free-memory";
 import { codesOf, hasSplats, scalesOf, viewOf } from "./file-index";
 import type { Index } from "./file-index";
 import { decodeValues } from "./values";
@@ -28,7 +29,10 @@ export interface Packed {
 
 /** The values of a block whose checksum is right. */
 export async function unpackBlock({ level, record, stored, where }: Packed, index: Index): Promise<Block> {
-  return decodeBlock(await rawBytes(stored, record, where), index, level, record, where);
+  const raw = await rawBytes(stored, record, where);
+  const block = decodeBlock(raw, index, level, record, where);
+  if (raw !== stored) freeMemory(raw);
+  return block;
 }
 
 /** The values of a block from inflated bytes of the right length. */

@@ -1,5 +1,6 @@
 /** CRC-32, DEFLATE and byte planes: the layer below arrays of values. */
 
+import { freeMemory } from "../base/free-memory";
 import { ViewerError, mismatch } from "../base/errors";
 
 const TABLES = crcTables();
@@ -106,6 +107,7 @@ async function inflated(bytes: Uint8Array, raw: Uint8Array): Promise<number | nu
     }
     raw.set(piece.value, at);
     at += piece.value.length;
+    freeMemory(piece.value);
   }
 }
 

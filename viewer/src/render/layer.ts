@@ -10,10 +10,13 @@ import type { Table } from "./textures";
 const ROW_SPLATS = ROW / 2;
 /** Units: 0 holds the centres, 1 … 4 are a layer's. */
 const UNITS = { words: 1, order: 2, before: 3, times: 4 };
+/** Rows that are baked at once: a texture of all would be as large as the attributes. */
+const STRIP = 128;
 /** Long ago: what began then has ended. */
 const PAST = -1e6;
 
 type LookProgram = Program<(typeof LOOK_NAMES)[number]>;
+type Baker = Program<(typeof LOOK_NAMES)[number] | "row">;
 
 /** Textures that exist during a change alone. */
 interface Change {
@@ -24,8 +27,8 @@ interface Change {
 }
 
 /** Makes the looks of a moment into attributes; one for all layers. */
-export function makeBaker(gl: WebGL2RenderingContext): LookProgram {
-  return new Program(gl, COVER, BAKE, LOOK_NAMES);
+export function makeBaker(gl: WebGL2RenderingContext): Baker {
+  return new Program(gl, COVER, BAKE, [...LOOK_NAMES, "row"]);
 }
 
 export class Layer {
@@ -43,7 +46,7 @@ export class Layer {
 
   constructor(
     private readonly gl: WebGL2RenderingContext,
-    private readonly baker: LookProgram,
+    private readonly baker: Baker,
     private readonly capacity: number,
   ) {
     this.rows = Math.max(1, Math.ceil(capacity / ROW_SPLATS));
@@ -77,25 +80,28 @@ export class Layer {
     const { gl } = this;
     this.change ??= this.begin();
     const { before, baked, times, target } = this.change;
-    const row = Math.floor(first / ROW_SPLATS);
-    const rows = Math.min(Math.ceil(count / ROW_SPLATS), this.rows - row);
+    const from = Math.floor(first / ROW_SPLATS);
+    const rows = Math.min(Math.ceil(count / ROW_SPLATS), this.rows - from);
     if (rows <= 0) return;
     this.baker.use();
     this.bind(this.baker, time, fade, null);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, baked.texture, 0);
-    gl.viewport(0, 0, ROW, this.rows);
-    gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(0, row, ROW, rows);
     gl.disable(gl.BLEND);
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
-    gl.enable(gl.BLEND);
-    gl.disable(gl.SCISSOR_TEST);
+    // A unit that the baker does not read.
+    gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, before.texture);
-    gl.copyTexSubImage2D(gl.TEXTURE_2D, 0, 0, row, 0, row, ROW, rows);
+    for (let row = from; row < from + rows; row += STRIP) {
+      const height = Math.min(STRIP, from + rows - row);
+      gl.viewport(0, 0, ROW, height);
+      gl.uniform1i(this.baker.at("row"), row);
+      gl.drawArrays(gl.TRIANGLES, 0, 3);
+      gl.copyTexSubImage2D(gl.TEXTURE_2D, 0, 0, row, 0, 0, ROW, height);
+    }
+    gl.enable(gl.BLEND);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.bindTexture(gl.TEXTURE_2D, times.texture);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, 1, rows, times.format, times.type, new Float32Array(rows).fill(time));
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, from, 1, rows, times.format, times.type, new Float32Array(rows).fill(time));
   }
 
   /** Give the memory of a change back. */
@@ -109,8 +115,8 @@ export class Layer {
 
   /** Bytes of textures. */
   get bytes(): number {
-    const words = 16 * ROW * this.rows;
-    return words * (this.change ? 3 : 1) + 8 * ROW * Math.max(1, Math.ceil(this.capacity / ROW));
+    const rows = this.change ? 2 * this.rows + Math.min(STRIP, this.rows) : this.rows;
+    return 16 * ROW * rows + 8 * ROW * Math.max(1, Math.ceil(this.capacity / ROW));
   }
 
   /** Give a program the looks of a moment; `other` stands in where textures are not there. */
@@ -140,6 +146,6 @@ export class Layer {
     const past = new Float32Array(rows).fill(PAST);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 1, rows, times.format, times.type, past);
     const target = gl.createFramebuffer();
-    return { before: makeTable(gl, WORDS, rows), baked: makeTable(gl, WORDS, rows), times, target };
+    return { before: makeTable(gl, WORDS, rows), baked: makeTable(gl, WORDS, Math.min(STRIP, rows)), times, target };
   }
 }

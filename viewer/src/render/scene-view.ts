@@ -103,8 +103,7 @@ export class SceneView {
 
   /** Show no finer than a level. */
   setLevel(cap: number): void {
-    this.caps[0] = cap;
-    this.feed.tell({ type: "level", side: 0, cap, serial: ++this.serial });
+    this.feed.tell({ type: "level", side: 0, cap: (this.caps[0] = cap), serial: ++this.serial });
   }
 
   /** Show another level left of the divider, or none. */
@@ -186,14 +185,13 @@ export class SceneView {
   }
 
   private orderOf(source: string | Blob, name: string): Extract<ToDecoder, { type: "open" }> {
-    const { plain, budget } = this.options;
-    return { type: "open", source, name, budget: Math.min(budget, this.renderer.most), plain, cores: navigator.hardwareConcurrency };
+    return { type: "open", source, name, plain: this.options.plain, budget: Math.min(this.options.budget, this.renderer.most), cores: navigator.hardwareConcurrency };
   }
 
   private makePane(side: Side, facts: SceneFacts): SideView {
     const row = () => this.pinhole().w2c.slice(8, 12);
     // Sorted a little before a picture may be drawn.
-    const idles = () => this.waits && this.rests && this.pace.skips(1.3 * (performance.now() - this.lastFrame));
+    const idles = () => this.waits && this.skips(1.3 * (performance.now() - this.lastFrame));
     return new SideView(side, ++this.epoch, capacityOf(facts, facts.most), row, (message, transfer) => { this.tellSorter(message, transfer); }, idles);
   }
 
@@ -238,8 +236,7 @@ export class SceneView {
         break;
       case "attributes":
         this.decodeSeconds = message.seconds;
-        // Drawn once they are sorted.
-        this.panes[message.side]?.take({ ...message, fade: message.fade && !this.pace.isSlow }, this.renderer, () => this.seconds());
+        this.panes[message.side]?.take({ ...message, fade: message.fade && !this.pace.isSlow(message.limit) }, this.renderer, () => this.seconds());
         this.wake();
         break;
       case "memory":
@@ -326,19 +323,23 @@ export class SceneView {
     this.feed.tell({ type: "pause", paused: resting });
   }
 
-  private sort(): void {
-    for (const pane of this.panes) pane?.sort();
-  }
+  private sort(): void { for (const pane of this.panes) pane?.sort(); }
 
   private takeOrder(sorted: Sorted): void {
     const pane = this.panes[sorted.side];
     if (pane?.epoch !== sorted.epoch) return;
+    this.feed.tell({ type: "seen" });
     pane.takeOrder(sorted, this.renderer, () => { this.hold &&= sorted.serial < 0; });
     this.wake();
   }
 
   private get rests(): boolean {
     return !this.painter && performance.now() - this.moving > VIEW_EVERY;
+  }
+
+  /** A picture is left out, other than the first of all of the base; `since`: milliseconds since the last. */
+  private skips(since: number): boolean {
+    return this.rests && this.baseShown === this.baseWaits && this.pace.skips(since, this.drawn);
   }
 
   frame(now: number): void {
@@ -356,11 +357,11 @@ export class SceneView {
     });
     const fading = this.panes.some((pane) => pane?.isFading(seconds));
     const follows = this.waits || this.renderer.waits || this.panes.some((pane) => pane?.sorting);
-    const paints = !this.lost && !this.hold && !(this.rests && follows && this.pace.skips(since));
+    const paints = !this.lost && !this.hold && !(follows && this.skips(since));
     if (paints) this.guard(() => { this.paint(now); });
-    if (paints && this.rests && this.drawn) this.pace.measure(this.renderer);
+    if (paints && this.rests && this.drawn) this.pace.measure(this.renderer, this.drawn);
     if (this.needed || fading || !this.told || this.waiting.length || (this.renderer.waits && !this.lost)) this.wake();
-    else if (this.unkept && this.drawn && !(this.waits && this.pace.isSlow)) {
+    else if (this.unkept && this.drawn && !(this.waits && this.pace.isSlow(this.drawn))) {
       // Nothing in it moves.
       const wait = this.picture.keep(now);
       if (wait) setTimeout(() => { if (this.unkept) this.wake(); }, wait);
@@ -388,10 +389,9 @@ export class SceneView {
       this.events.base(seconds);
       this.renderer.finished().then(() => { this.events.shown(); }, () => undefined);
     }
-    const settled = this.panes.every((pane) => !pane || pane.isSettled(seconds));
-    const sortedFor = Math.min(...this.panes.map((pane) => pane?.sortedFor ?? Infinity));
+    const sortedFor = Math.min(...this.panes.map((pane) => (pane?.isSettled(seconds) === false ? -1 : pane?.sortedFor ?? Infinity)));
     this.waiting = this.waiting.filter(({ serial, resolve }) => {
-      if (!settled || sortedFor < serial) return true;
+      if (sortedFor < serial) return true;
       resolve();
       return false;
     });

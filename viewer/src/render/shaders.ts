@@ -149,17 +149,18 @@ void main() {
   gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
 }`;
 
-/** The attributes of this moment, texel by texel as in `words`. */
+/** The attributes of this moment, texel by texel as in `words` from a row on. */
 export const BAKE = `#version 300 es
 precision highp float;
 precision highp int;
 precision highp usampler2D;
 out uvec4 result;
+uniform int row;
 ${LOOK}
 
 void main() {
   ivec2 pixel = ivec2(gl_FragCoord.xy);
   uvec4 one, two;
-  look(pixel.y * ${ROW / 2} + (pixel.x >> 1), one, two);
+  look((row + pixel.y) * ${ROW / 2} + (pixel.x >> 1), one, two);
   result = (pixel.x & 1) == 0 ? one : two;
 }`;
