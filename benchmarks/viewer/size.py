@@ -227,14 +227,14 @@ def table(rows: Sequence[Row]) -> str:
             cells += [f"{row['peak_mib']:,.0f}"]
         first = [f"{row['splats']:,}", name, f"{row['bytes'] / MIB:.1f}"]
         lines.append(f"| {' | '.join([*first, *cells])} |")
-    made = {
-        (row["machine"], row["width"], row["height"], row["visits"], row["commit"]) for row in rows
-    }
+    made = {(row["machine"], row["width"], row["height"], row["commit"]) for row in rows}
     if len(made) != 1:
         sys.exit(f"rows are not of one commit, machine and size of picture: measure all: {made}")
-    cpu, width, height, visits, commit = made.pop()
+    cpu, width, height, commit = made.pop()
+    fewest, most = (pick(int(row["visits"]) for row in rows) for pick in (min, max))
     where = f"{cpu}, headless Chromium with SwiftShader, {width} × {height} pixels"
-    seen = "one visit" if visits == 1 else f"{visits} visits"
+    visits = f"{most}" if fewest == most else f"{fewest} to {most}"
+    seen = "one visit" if most == 1 else f"{visits} visits"
     return "\n".join([*lines, "", f"{where}, {seen} each, commit {commit}."])
 
 

@@ -90,7 +90,7 @@ export class DecodeSession {
         this.loader.poke(message.paused);
         break;
       case "seen":
-        this.hasSeen();
+        this.resume();
         break;
       case "again":
         this.sendCenters();
@@ -188,24 +188,31 @@ export class DecodeSession {
   /** Do not wait for blocks that get no rows. */
   private rest(bytes: number): void {
     this.last = { level: this.most, bytes };
-    this.hasSeen();
+    this.resume();
   }
 
-  private hasSeen(): void {
+  /** Decode what waited for a picture too. */
+  private resume(): void {
     this.unseen = false;
     this.work();
   }
 
   private levelReady(level: number, bytes: number): void {
-    const { room, index: { levels } } = this.assembler!;
-    // All tables at once, which cost nothing until they are filled; without room for them the device still shows a coarser level.
-    if (!level && room === Infinity) try { this.assembler!.reserve(levels[this.most]); } catch { /* Said when that level comes. */ }
+    if (!level) this.reserveAll(this.assembler!);
     this.ready.push({ level, bytes });
     if (!this.base) {
       this.base = true;
       this.refreshAll();
     }
     this.work();
+  }
+
+  /** Make all tables at once, which cost nothing until they are filled; without room for them a coarser level is shown still. */
+  private reserveAll(assembler: Assembler): void {
+    if (assembler.room < Infinity) return;
+    try {
+      assembler.reserve(assembler.index.levels[this.most]);
+    } catch { /* Said when that level comes. */ }
   }
 
   /** Send the centres of slots, of all that may have come by default. */
