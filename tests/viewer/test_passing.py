@@ -13,19 +13,14 @@ pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no {MISSING}: viewer NOT tested in a browser"
 )
 WATCHED = """
-// Splats that were decoded, and the arrays in which they came; with `unseen` no worker hears that
-// anything was sorted.
-globalThis.decoded = 0;
+// Arrays that came in messages; with `unseen` no worker hears that anything was sorted.
 globalThis.came = [];
 const Plain = Worker;
 globalThis.Worker = class extends Plain {
   constructor(...options) {
     super(...options);
     this.addEventListener("message", ({ data }) => {
-      for (const { words } of data?.pieces ?? []) {
-        decoded += words.length / 8;
-        came.push(words);
-      }
+      for (const { words } of data?.pieces ?? []) came.push(words);
       if (data?.type === "centers") came.push(data.centers);
     });
   }
@@ -38,16 +33,15 @@ UNSEEN = "globalThis.unseen = true;"
 
 
 @pytest.mark.parametrize("made", [splats_in_blocks, anchors_in_blocks])
-def test_levels_that_nobody_sees_are_not_decoded(made: Any, tmp_path: Path) -> None:
-    """All is complete and looks the same where the page is never done with what came first."""
+def test_a_page_that_says_nothing_ends_with_the_same_picture(made: Any, tmp_path: Path) -> None:
+    """How often splats are decoded then, test_splats.py tests where no timing decides it."""
     (path, query) = made(tmp_path)
-    steps = [*READY, {"name": "last", "script": "atRest(0)"}, {"name": "n", "script": "decoded"}]
+    steps = [*READY, {"name": "last", "script": "atRest(0)"}]
     with pages(path) as address:
         url = f"{address}/?noui{query}"
         seen = visit(url, tmp_path, steps, init=AT_REST + WATCHED).results
         unseen = visit(url, tmp_path, steps, init=AT_REST + WATCHED + UNSEEN).results
     assert psnr(pixels(seen["last"]), pixels(unseen["last"])) >= SAME_DB
-    assert unseen["n"] <= seen["n"]
 
 
 def test_what_the_device_has_is_given_back(tmp_path: Path) -> None:

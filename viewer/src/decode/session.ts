@@ -90,7 +90,7 @@ export class DecodeSession {
         this.loader.poke(message.paused);
         break;
       case "seen":
-        this.resume();
+        if (this.unseen) this.resume();
         break;
       case "again":
         this.sendCenters();

@@ -5,6 +5,7 @@ import { viewPoseThrough } from "./mesh";
 import { ViewerError } from "../base/errors";
 import { DecoderClient, workerStopped } from "../decode/client";
 import type { FromDecoder, Progress, SceneFacts, Sorted, ToSorter } from "../decode/messages";
+import { PictureWaiters } from "../render/picture-waiters";
 import { SideView, capacityOf } from "../render/side";
 import { SplatTables } from "./splat-tables";
 import { spawnWorker } from "../decode/spawn-worker";
@@ -51,7 +52,7 @@ export class Splats {
   private timer: ReturnType<typeof setTimeout> | undefined;
   private serial = 0;
   private closed = false;
-  private waiting: { serial: number; resolve: () => void }[] = [];
+  private readonly waiters = new PictureWaiters();
 
   /** `source`: the file's address, or the file. */
   constructor(
@@ -92,8 +93,7 @@ export class Splats {
   /** Resolves when what was asked for last is decoded and sorted for the last camera. */
   settled(): Promise<void> {
     this.tell(true);
-    const { serial } = this;
-    return new Promise((resolve) => this.waiting.push({ serial, resolve }));
+    return this.waiters.add(this.serial);
   }
 
   close(): void {
@@ -185,11 +185,7 @@ export class Splats {
     if (!pane || !tables) return;
     pane.takeOrder(sorted, tables, () => { this.feed.tell({ type: "seen" }); });
     this.tellBase();
-    this.waiting = this.waiting.filter(({ serial, resolve }) => {
-      if (!pane.isSettled(0) || pane.sortedFor < serial) return true;
-      resolve();
-      return false;
-    });
+    if (pane.isSettled(0)) this.waiters.release(pane.sortedFor);
     this.events.changed();
   }
 }

@@ -13,6 +13,7 @@ import { Renderer } from "./renderer";
 import type { AnyRenderer, Backend, Frame, SorterPort } from "./backend";
 import { FramePace } from "./frame-pace";
 import { ContextLossSnapshot } from "./context-loss-snapshot";
+import { PictureWaiters } from "./picture-waiters";
 import { visitStation } from "../camera/viewpoints";
 import { spawnWorker } from "../decode/spawn-worker";
 
@@ -58,7 +59,7 @@ export class SceneView {
   painter: ((frame: Frame) => void) | null = null;
   unkept = true;
   private fixed: Pinhole | null = null;
-  private waiting: { serial: number; resolve: () => void }[] = [];
+  private readonly waiters = new PictureWaiters();
   handle = 0;
 
   constructor(
@@ -103,7 +104,8 @@ export class SceneView {
 
   /** Show no finer than a level. */
   setLevel(cap: number): void {
-    this.feed.tell({ type: "level", side: 0, cap: (this.caps[0] = cap), serial: ++this.serial });
+    this.caps[0] = cap;
+    this.feed.tell({ type: "level", side: 0, cap, serial: ++this.serial });
   }
 
   /** Show another level left of the divider, or none. */
@@ -139,8 +141,7 @@ export class SceneView {
   /** Resolves when what was asked for last is decoded, sorted and drawn, all of it faded in. */
   settled(): Promise<void> {
     this.tellView(true);
-    const { serial } = this;
-    return new Promise((resolve) => this.waiting.push({ serial, resolve }));
+    return this.waiters.add(this.serial);
   }
 
   /** The present picture, RGBA8 [height, width, 4], every change in it done unless `now`. */
@@ -185,7 +186,8 @@ export class SceneView {
   }
 
   private orderOf(source: string | Blob, name: string): Extract<ToDecoder, { type: "open" }> {
-    return { type: "open", source, name, plain: this.options.plain, budget: Math.min(this.options.budget, this.renderer.most), cores: navigator.hardwareConcurrency };
+    const { plain, budget } = this.options;
+    return { type: "open", source, name, budget: Math.min(budget, this.renderer.most), plain, cores: navigator.hardwareConcurrency };
   }
 
   private makePane(side: Side, facts: SceneFacts): SideView {
@@ -323,7 +325,9 @@ export class SceneView {
     this.feed.tell({ type: "pause", paused: resting });
   }
 
-  private sort(): void { for (const pane of this.panes) pane?.sort(); }
+  private sort(): void {
+    for (const pane of this.panes) pane?.sort();
+  }
 
   private takeOrder(sorted: Sorted): void {
     const pane = this.panes[sorted.side];
@@ -360,7 +364,7 @@ export class SceneView {
     const paints = !this.lost && !this.hold && !(follows && this.skips(since));
     if (paints) this.guard(() => { this.paint(now); });
     if (paints && this.rests && this.drawn) this.pace.measure(this.renderer, this.drawn);
-    if (this.needed || fading || !this.told || this.waiting.length || (this.renderer.waits && !this.lost)) this.wake();
+    if (this.needed || fading || !this.told || this.waiters.any || (this.renderer.waits && !this.lost)) this.wake();
     else if (this.unkept && this.drawn && !(this.waits && this.pace.isSlow(this.drawn))) {
       // Nothing in it moves.
       const wait = this.picture.keep(now);
@@ -389,12 +393,8 @@ export class SceneView {
       this.events.base(seconds);
       this.renderer.finished().then(() => { this.events.shown(); }, () => undefined);
     }
-    const sortedFor = Math.min(...this.panes.map((pane) => (pane?.isSettled(seconds) === false ? -1 : pane?.sortedFor ?? Infinity)));
-    this.waiting = this.waiting.filter(({ serial, resolve }) => {
-      if (sortedFor < serial) return true;
-      resolve();
-      return false;
-    });
+    const settled = this.panes.every((pane) => !pane || pane.isSettled(seconds));
+    if (settled) this.waiters.release(Math.min(...this.panes.map((pane) => pane?.sortedFor ?? Infinity)));
     this.events.frame();
   }
 }
