@@ -1,5 +1,17 @@
 // Every array that the viewer decodes from a file, by name: for node and for a page alike.
 
+/** Scales of a splat, whose columns come before its other values. */
+const SCALES = 3;
+
+function valuesOf({ affine, tables: { block } }, table, before) {
+  const columns = table.length / block.length;
+  return Float32Array.from(table, (number, i) => {
+    const at = 2 * (before + (i % columns));
+    const [low, step] = affine[block[Math.floor(i / columns)]].subarray(at, at + 2);
+    return low + step * number;
+  });
+}
+
 /** `viewer` is its module; `eyes` are points from which all levels are decoded. */
 export async function arraysOf(viewer, data, eyes, kernelName) {
   const { ListingDecoder, PlainKernel, SimdKernel, readAll } = viewer;
@@ -8,6 +20,11 @@ export async function arraysOf(viewer, data, eyes, kernelName) {
   const { tables, index } = assembler;
   for (const name of ["lattice", "logScales", "codes", "residual", "slot", "owner", "offsets"]) {
     found.set(name, tables[name]);
+  }
+  // Of splats numbers are kept, with what they stand for by block.
+  if (tables.block.length) {
+    found.set("logScales", valuesOf(assembler, tables.logScales, 0));
+    found.set("residual", valuesOf(assembler, tables.residual, SCALES));
   }
   // A splat is its own slot, of which tables say nothing.
   if (!tables.owner.length) {

@@ -285,7 +285,7 @@ export class DecodeSession {
 
   private tellMemory(): void {
     let tables = 0;
-    for (const array of Object.values(this.assembler!.tables as unknown as ArrayBufferView[])) tables += array.byteLength;
+    for (const array of Object.values(this.assembler!.tables)) tables += array.byteLength;
     const decoded = this.looks.reduce((sum, look) => sum + (look?.decoder.bytes ?? 0), 0);
     this.post({ type: "memory", tables, decoded, kernel: this.made!.name, workers: this.loader.workers });
   }

@@ -4,6 +4,7 @@ import type { Assembler } from "../format/assembler";
 import type { Vec } from "../base/vec3";
 import { codesOf, ownerOf } from "../format/file-index";
 import { latticePosition } from "../format/lattice";
+import { SPLAT_SCALES, SPLAT_VALUES } from "../format/layout.gen";
 import { must } from "../format/records";
 
 /** Constants of the spherical harmonics of 3DGS: the first, and the factors of the others. */
@@ -12,6 +13,7 @@ const C1 = 0.4886025119029199;
 const C2 = [1.0925484305920792, 0.31539156525252005, 0.5462742152960396];
 const C3 = [0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277];
 const BASES = 16;
+const COLUMNS = SPLAT_SCALES + SPLAT_VALUES;
 const GAINS = ["gain_x", "gain_y", "gain_z"] as const;
 
 /** Values of the bases of degree 0 to 3 for a unit direction, into `out`. Nothing is allocated. */
@@ -40,6 +42,8 @@ export function bases(x: number, y: number, z: number, out: Float64Array): void 
 /** The Gaussians of an assembler's splats. */
 export class SplatDecoder {
   private readonly weights = new Float64Array(BASES);
+  /** Logarithms of scales, rotation, logit of opacity and colour of the splat read last. */
+  private readonly values = new Float32Array(COLUMNS);
   /** Number of codes of a level's splats, and the level of their codebook, by level. */
   private readonly used: readonly number[];
   private readonly owners: readonly number[];
@@ -73,18 +77,18 @@ export class SplatDecoder {
    * A value that is not finite makes the opacity 0.
    */
   decode(row: number, level: number, eye: Readonly<Vec>, out: Float32Array): void {
-    const { residual, logScales } = this.assembler.tables;
     const entry = this.assembler.index.levels[level];
-    const at = 7 * row;
-    const x = residual[at];
-    const y = residual[at + 1];
-    const z = residual[at + 2];
+    this.read(row);
+    const { values } = this;
+    const x = values[3];
+    const y = values[4];
+    const z = values[5];
     const square = x * x + y * y + z * z;
     const turn = 2 / (1 + square);
-    out[0] = 1 / (1 + Math.exp(-residual[at + 3]));
-    out[1] = Math.exp(logScales[3 * row]) * entry.gain_x;
-    out[2] = Math.exp(logScales[3 * row + 1]) * entry.gain_y;
-    out[3] = Math.exp(logScales[3 * row + 2]) * entry.gain_z;
+    out[0] = 1 / (1 + Math.exp(-values[6]));
+    out[1] = Math.exp(values[0]) * entry.gain_x;
+    out[2] = Math.exp(values[1]) * entry.gain_y;
+    out[3] = Math.exp(values[2]) * entry.gain_z;
     out[4] = turn - 1;
     out[5] = turn * x;
     out[6] = turn * y;
@@ -93,14 +97,24 @@ export class SplatDecoder {
     for (let i = 1; i < 11; i++) if (!Number.isFinite(out[i])) out[0] = 0;
   }
 
+  /** A splat's own values as they are in the file. */
+  private read(row: number): void {
+    const { affine, tables: { logScales, residual, block } } = this.assembler;
+    const steps = affine[block[row]];
+    for (let i = 0; i < COLUMNS; i++) {
+      const value = i < SPLAT_SCALES ? logScales[SPLAT_SCALES * row + i] : residual[SPLAT_VALUES * row + i - SPLAT_SCALES];
+      this.values[i] = steps[2 * i] + steps[2 * i + 1] * value;
+    }
+  }
+
   private color(row: number, eye: Readonly<Vec>, out: Float32Array): void {
     const { codebooks, stages, tables } = this.assembler;
-    const { lattice, residual, codes, brought: levels } = tables;
-    const at = 7 * row;
-    const rest = residual[at + 4] - residual[at + 6];
-    let r = 0.5 + C0 * (rest + residual[at + 5]);
-    let g = 0.5 + C0 * (residual[at + 4] + residual[at + 6]);
-    let b = 0.5 + C0 * (rest - residual[at + 5]);
+    const { lattice, codes, brought: levels } = tables;
+    const { values } = this;
+    const rest = values[7] - values[9];
+    let r = 0.5 + C0 * (rest + values[8]);
+    let g = 0.5 + C0 * (values[7] + values[9]);
+    let b = 0.5 + C0 * (rest - values[8]);
     const { features, voxel } = this.assembler.index.header;
     const brought = levels[row];
     const used = this.used[brought];

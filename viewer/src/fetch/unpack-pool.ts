@@ -99,8 +99,8 @@ export function serveUnpackPool(port: MessagePort, index: Index): void {
   port.onmessage = ({ data: { number, packed } }: MessageEvent<Job>) => {
     unpackBlock(packed, index).then(
       (block) => {
-        const transfer = new Set(Object.values(block as unknown as Record<string, ArrayBufferView>).map(({ buffer }) => buffer));
-        port.postMessage({ number, block } satisfies Done, [...transfer] as ArrayBuffer[]);
+        const transfer = new Set(Object.values(block).map(({ buffer }) => buffer as ArrayBuffer));
+        port.postMessage({ number, block } satisfies Done, [...transfer]);
       },
       (error: unknown) => {
         const { trouble, message } = asViewerError(error);

@@ -1,12 +1,12 @@
 /** The decoded part of a file, growing chunk by chunk and block by block. */
 
 import { unpackBlock } from "./block";
-import type { Block, Packed } from "./block";
+import type { Block, Packed, Values } from "./block";
 import { rawBytes } from "./codecs";
 import { maskBits, parseDirectory, spanOf } from "./directory";
 import type { BlockRecord } from "./directory";
 import { ViewerError } from "../base/errors";
-import { codesOf, columnsOf, hasPages, hasSplats, nameOf, ownShapes, ownerOf, parseIndex, scalesOf } from "./file-index";
+import { codesOf, columnsOf, hasPages, hasSplats, hasSteps, nameOf, ownShapes, ownerOf, parseIndex, scalesOf } from "./file-index";
 import type { ChunkEntry, Index, LevelEntry, WeightShape } from "./file-index";
 import { freeMemory } from "../base/free-memory";
 import { LazyModule } from "../base/lazy-module";
@@ -28,11 +28,13 @@ export const NOWHERE = 255;
 const END = -1;
 
 /** Anchors and live slots of all blocks held, by their numbers in the whole file. */
-export interface Tables {
+export type Tables = {
   readonly lattice: Int32Array; // [n, 3]
-  readonly logScales: Float32Array; // [n, 6], of splats [n, 3]
+  readonly logScales: Values; // [n, 6], of splats [n, 3]
   readonly codes: Uint8Array; // [n], 0 without a codebook; of splats [n, `stages`]
-  readonly residual: Float32Array; // [n, R]
+  readonly residual: Values; // [n, R]
+  /** Number of the block that brought a splat, among those of all levels. */
+  readonly block: Uint32Array; // of splats [n], else [0]
   /** Finest level at which a block with the anchor is held, or `NOWHERE`. */
   readonly region: Uint8Array; // [n]
   /** The level that brings each slot. */
@@ -44,7 +46,7 @@ export interface Tables {
   readonly offsets: Float32Array; // [m, 3], of splats [0]
   readonly next: Int32Array; // [m], of splats [0]
   readonly owner: Int32Array; // [m] its anchor, or -1; of splats [0], since each is its own
-}
+};
 
 /** A client's state: the index, then chunks and blocks in any order their parents allow. */
 export class Assembler {
@@ -62,6 +64,8 @@ export class Assembler {
   /** Rows of the tables for slots at most: a file's own numbers hold for those of level 0 alone then, see `Residency`. */
   room = Infinity;
   readonly held: Set<number>[];
+  /** `Block.affine` by `Tables.block`. */
+  readonly affine: Float32Array[] = [];
 
   /** Start from the first bytes of a file, at least header and tables. */
   constructor(head: Uint8Array) {
@@ -153,9 +157,9 @@ export class Assembler {
     const block = await (unpacked ?? unpackBlock(packed, this.index));
     // Where there is less room than for all, `Residency` has made it.
     if (!level || this.room === Infinity) this.reserve(this.index.levels[level]);
-    if (hasSplats(this.index.header)) this.placeSplats(level, record, block);
+    if (hasSplats(this.index.header)) this.placeSplats(level, number, record, block);
     else this.place(level, record, block, where);
-    freeMemory(...Object.values(block as unknown as Record<string, ArrayBufferView>));
+    freeMemory(...Object.values(block));
     this.held[level].add(number);
   }
 
@@ -198,14 +202,17 @@ export class Assembler {
   }
 
   /** Put a block's new splats into the tables: each is a slot, which has its number. */
-  private placeSplats(level: number, record: BlockRecord, block: Block): void {
-    const { tables, stages } = this;
+  private placeSplats(level: number, number: number, record: BlockRecord, block: Block): void {
+    const { tables, stages, index: { header, levels }, affine } = this;
     const first = record.starts[level];
     const count = record.rows[level];
     const codes = codesOf(this.index, level);
     tables.lattice.set(block.lattice, 3 * first);
     tables.logScales.set(block.logScales, 3 * first);
-    tables.residual.set(block.residual, this.index.header.residual * first);
+    tables.residual.set(block.residual, header.residual * first);
+    const id = levels.slice(0, level).reduce((sum, { blocks }) => sum + blocks, number);
+    affine[id] = block.affine.slice();
+    tables.block.fill(id, first, first + count);
     tables.brought.fill(level, first, first + count);
     for (let i = 0; codes && i < count; i++) {
       tables.codes.set(block.codes.subarray(i * codes, (i + 1) * codes), (first + i) * stages);
@@ -264,12 +271,15 @@ export class Assembler {
 
   private emptyTables(anchors: number, live: number): Tables {
     const { header } = this.index;
-    const [heads, slots] = hasSplats(header) ? [0, 0] : [anchors, live];
+    const splats = hasSplats(header);
+    const [heads, slots] = splats ? [0, 0] : [anchors, live];
+    const Column = hasSteps(this.index) ? Uint16Array : Float32Array;
     return {
       lattice: new Int32Array(3 * anchors),
-      logScales: new Float32Array(scalesOf(header) * anchors),
+      logScales: new Column(scalesOf(header) * anchors),
       codes: new Uint8Array(this.stages * anchors),
-      residual: new Float32Array(header.residual * anchors),
+      residual: new Column(header.residual * anchors),
+      block: new Uint32Array(splats ? anchors : 0),
       region: new Uint8Array(anchors).fill(NOWHERE),
       brought: new Uint8Array(live),
       head: new Int32Array(heads).fill(END),

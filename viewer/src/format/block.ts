@@ -5,19 +5,25 @@ import { MORTON_HEAD, columnBytes, maskBits } from "./directory";
 import type { BlockRecord } from "./directory";
 import { ViewerError, mismatch } from "../base/errors";
 import { freeMemory } from "../base/free-memory";
-import { codesOf, hasSplats, scalesOf, viewOf } from "./file-index";
+import { codesOf, hasSplats, hasSteps, scalesOf, viewOf } from "./file-index";
 import type { Index } from "./file-index";
-import { decodeValues } from "./values";
+import { SPLAT_SCALES, SPLAT_VALUES } from "./layout.gen";
+import { decodeSteps, decodeValues } from "./values";
+
+/** Values, or numbers of steps that stand for them. */
+export type Values = Float32Array | Uint16Array;
 
 /** The decoded values of one block: rows are its new anchors or its new live slots. */
-export interface Block {
+export type Block = {
   readonly lattice: Int32Array; // [fresh, 3]
-  readonly logScales: Float32Array; // [fresh, 6], of splats [fresh, 3]
+  readonly logScales: Values; // [fresh, 6], of splats [fresh, 3]
   readonly codes: Uint8Array; // [fresh], or [0] without a codebook; of splats [fresh, S]
-  readonly residual: Float32Array; // [fresh, R]
+  readonly residual: Values; // [fresh, R]
+  /** What 0 stands for in each column of `logScales`, then of `residual`, and what 1 adds to it. */
+  readonly affine: Float32Array; // of splats [3 + R, 2], else [0]
   readonly mask: Uint8Array; // bits, lowest first, of slots that were off before; of splats none
   readonly offsets: Float32Array; // [added, 3], of splats [0]
-}
+};
 
 /** The bytes of one block, and what is known of it. */
 export interface Packed {
@@ -45,7 +51,13 @@ export function decodeBlock(
 ): Block {
   const entry = index.levels[level];
   const fresh = record.rows[level];
-  const added = hasSplats(index.header) ? 0 : record.live - record.before;
+  const splats = hasSplats(index.header);
+  const added = splats ? 0 : record.live - record.before;
+  const affine = Float32Array.from({ length: splats ? 2 * (SPLAT_SCALES + SPLAT_VALUES) : 0 }, (_, i) => i % 2);
+  const steps = hasSteps(index);
+  const valuesOf = (coding: number, bytes: Uint8Array, from: number, count: number) => steps
+    ? decodeSteps(bytes, fresh, affine.subarray(2 * from, 2 * (from + count)), where)
+    : decodeValues(coding, bytes, fresh, count, where);
   let at = 0;
   const [lattice, scales, codes, residual, mask, offsets] = columnBytes(index, level, record).map(
     (length) => raw.subarray(at, (at += length)),
@@ -53,23 +65,15 @@ export function decodeBlock(
   checkMask(mask, maskBits(index, record), added, where);
   const block = {
     lattice: decodeLattice(lattice, fresh, record.width, where),
-    logScales: decodeValues(entry.log_scales, scales, fresh, scalesOf(index.header), where),
-    codes: byRow(codes, codesOf(index, level)),
-    residual: decodeValues(entry.residual, residual, fresh, index.header.residual, where),
+    logScales: valuesOf(entry.log_scales, scales, 0, scalesOf(index.header)),
+    codes: new Uint8Array(fromPlanes(codes, fresh, codesOf(index, level), 1)),
+    residual: valuesOf(entry.residual, residual, SPLAT_SCALES, index.header.residual),
+    affine,
     mask: mask.slice(),
     offsets: decodeValues(entry.offsets, offsets, added, 3, where),
   };
   checkValues(block, index, level, record, where);
   return block;
-}
-
-/** Bytes of planes, one for each column, row after row. */
-function byRow(planes: Uint8Array, columns: number): Uint8Array {
-  const found = new Uint8Array(planes.length);
-  for (let column = 0, from = 0; column < columns; column++) {
-    for (let at = column; at < found.length; at += columns) found[at] = planes[from++];
-  }
-  return found;
 }
 
 function checkMask(mask: Uint8Array, bits: number, live: number, where: string): void {
@@ -116,15 +120,8 @@ export function decodeLattice(
   width: number,
   where: string,
 ): Int32Array {
+  if (!width || !fresh) return new Int32Array(fromPlanes(raw, fresh, 3, 4));
   const lattice = new Int32Array(fresh * 3);
-  if (!fresh) return lattice;
-  if (!width) {
-    const columns = new Int32Array(fromPlanes(raw, fresh, 3, 4));
-    for (let i = 0; i < fresh; i++) {
-      for (let axis = 0; axis < 3; axis++) lattice[3 * i + axis] = columns[axis * fresh + i];
-    }
-    return lattice;
-  }
   const view = viewOf(raw);
   const origin = [0, 4, 8].map((at) => view.getInt32(at, true));
   // The running code in two halves of 32 bits; additions stay exact in doubles.

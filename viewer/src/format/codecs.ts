@@ -111,17 +111,12 @@ async function inflated(bytes: Uint8Array, raw: Uint8Array): Promise<number | nu
   }
 }
 
-/**
- * Byte planes back to values: column by column, within a column byte 0 of every row, then byte 1.
- * Returns the values column after column (not row after row), `width` bytes each.
- */
+/** The bytes of an array [rows, columns] row after row, from planes of bytes: column after column, in each the lowest bytes first. */
 export function fromPlanes(raw: Uint8Array, rows: number, columns: number, width: number): ArrayBuffer {
   const out = new Uint8Array(rows * columns * width);
-  for (let column = 0; column < columns; column++) {
-    const base = column * rows * width;
+  for (let column = 0, from = 0; column < columns; column++) {
     for (let b = 0; b < width; b++) {
-      const plane = base + b * rows;
-      for (let row = 0, to = base + b; row < rows; row++, to += width) out[to] = raw[plane + row];
+      for (let row = 0, to = column * width + b; row < rows; row++, to += columns * width) out[to] = raw[from++];
     }
   }
   return out.buffer;

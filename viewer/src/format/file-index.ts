@@ -6,7 +6,7 @@ import * as layout from "./layout.gen";
 import { Kind } from "./layout.gen";
 import { checkRanges, expectEqual, must, readRecord } from "./records";
 import type { Numbers } from "./records";
-import { valuesBytes } from "./values";
+import { areSteps, valuesBytes } from "./values";
 
 export type Header = Numbers<typeof layout.HEADER>;
 export type LevelEntry = Numbers<typeof layout.LEVEL>;
@@ -152,6 +152,11 @@ export function parseIndex(data: Uint8Array): Index {
   checkLevels(header, levels);
   checkChunks(index);
   return index;
+}
+
+/** True of a file of splats all of whose values are numbers of steps. */
+export function hasSteps({ header, levels }: Index): boolean {
+  return hasSplats(header) && levels.every(({ log_scales, residual }) => areSteps(log_scales) && areSteps(residual));
 }
 
 /** Number of levels in a file of this length, at least one. */

@@ -8,30 +8,30 @@ const LARGEST = 3.4028234663852886e38;
 const PARAMETER_BYTES = 8;
 const CENTRE = 128;
 
-interface CodingRule {
-  readonly width: number;
-  /** Each column begins with `low` and `step`. */
-  readonly stepped: boolean;
-}
-
-const RULES: Readonly<Record<number, CodingRule>> = {
-  [Coding.float]: { width: 4, stepped: false },
-  [Coding.half]: { width: 2, stepped: false },
-  [Coding.affine8]: { width: 1, stepped: true },
-  [Coding.affine16]: { width: 2, stepped: true },
-  [Coding.curve8]: { width: 1, stepped: true },
+/** Bytes of a value. */
+const WIDTHS: Readonly<Record<number, number>> = {
+  [Coding.float]: 4,
+  [Coding.half]: 2,
+  [Coding.affine8]: 1,
+  [Coding.affine16]: 2,
+  [Coding.curve8]: 1,
 };
 
-function ruleOf(coding: number): CodingRule {
-  if (!(coding in RULES)) throw new ViewerError("LayoutError", `unknown coding ${coding}`);
-  return RULES[coding];
+function widthOf(coding: number): number {
+  if (!(coding in WIDTHS)) throw new ViewerError("LayoutError", `unknown coding ${coding}`);
+  return WIDTHS[coding];
+}
+
+/** True of codings whose arrays begin with the least value and the step of each column. */
+function isStepped(coding: number): boolean {
+  return coding >= Coding.affine8;
 }
 
 /** Bytes of an encoded [rows, columns] array before deflating; 0 if it is empty. */
 export function valuesBytes(coding: number, rows: number, columns: number): number {
-  const rule = ruleOf(coding);
+  const width = widthOf(coding);
   if (!rows || !columns) return 0;
-  return (rule.stepped ? PARAMETER_BYTES * columns : 0) + rows * columns * rule.width;
+  return (isStepped(coding) ? PARAMETER_BYTES * columns : 0) + rows * columns * width;
 }
 
 /** The float32 [rows, columns] array, row after row. */
@@ -44,32 +44,39 @@ export function decodeValues(
 ): Float32Array {
   const out = new Float32Array(rows * columns);
   if (!out.length) return out;
-  if (ruleOf(coding).stepped) {
+  const width = widthOf(coding);
+  if (isStepped(coding)) {
     decodeStepped(coding, raw, rows, columns, where, out);
     return out;
   }
-  const { width } = ruleOf(coding);
-  const planes = fromPlanes(raw, rows, columns, width);
-  const read = width === 4 ? floats(planes) : halves(planes);
-  for (let column = 0, i = 0; column < columns; column++) {
-    for (let row = 0; row < rows; row++, i++) {
-      const value = read(i);
-      if (!Number.isFinite(value)) {
-        throw mismatch("ValueRangeError", where, `${value} in row ${row}`, "finite values");
-      }
-      out[row * columns + column] = value;
-    }
+  const bytes = fromPlanes(raw, rows, columns, width);
+  const read = width === 4 ? floats(bytes) : halves(bytes);
+  for (let i = 0; i < out.length; i++) {
+    out[i] = read(i);
+    if (!Number.isFinite(out[i])) throw mismatch("ValueRangeError", where, `${out[i]} in row ${Math.floor(i / columns)}`, "finite values");
   }
   return out;
 }
 
-function floats(planes: ArrayBuffer): (i: number) => number {
-  const values = new Float32Array(planes);
+/** True of values that are numbers of steps from a least one. */
+export function areSteps(coding: number): boolean {
+  return coding === Coding.affine16;
+}
+
+/** Numbers of steps [rows, columns], row after row; the least value and the step of each column go into `affine` [columns, 2]. */
+export function decodeSteps(raw: Uint8Array, rows: number, affine: Float32Array, where: string): Uint16Array {
+  const columns = affine.length / 2;
+  for (let column = 0; rows && column < columns; column++) affine.set(parametersOf(raw, column, [0, 65535], where), 2 * column);
+  return new Uint16Array(fromPlanes(raw.subarray(PARAMETER_BYTES * columns), rows, columns, 2));
+}
+
+function floats(bytes: ArrayBuffer): (i: number) => number {
+  const values = new Float32Array(bytes);
   return (i) => values[i];
 }
 
-function halves(planes: ArrayBuffer): (i: number) => number {
-  const bits = new Uint16Array(planes);
+function halves(bytes: ArrayBuffer): (i: number) => number {
+  const bits = new Uint16Array(bytes);
   return (i) => halfToFloat(bits[i]);
 }
 
@@ -91,30 +98,33 @@ function decodeStepped(
   where: string,
   out: Float32Array,
 ): void {
-  const view = new DataView(raw.buffer, raw.byteOffset, raw.byteLength);
-  const wide = coding === Coding.affine16;
+  if (areSteps(coding)) {
+    const affine = new Float32Array(2 * columns);
+    const found = decodeSteps(raw, rows, affine, where);
+    for (let i = 0; i < found.length; i++) {
+      const column = 2 * (i % columns);
+      out[i] = affine[column] + affine[column + 1] * found[i];
+    }
+    return;
+  }
   const curved = coding === Coding.curve8;
-  const top = wide ? 65535 : 255;
   let at = PARAMETER_BYTES * columns;
   for (let column = 0; column < columns; column++) {
-    const low = view.getFloat32(column * PARAMETER_BYTES, true);
-    const step = view.getFloat32(column * PARAMETER_BYTES + 4, true);
-    const ends = [0, top].map((q) => Math.abs(low + step * steps(q, curved)));
-    if (!(step >= 0 && ends[0] <= LARGEST && ends[1] <= LARGEST)) {
-      const found = `low ${low} and step ${step} in column ${column}`;
-      throw mismatch("ValueRangeError", where, found, "finite values");
-    }
-    if (wide) {
-      for (let row = 0; row < rows; row++) {
-        const q = raw[at + row] | (raw[at + rows + row] << 8);
-        out[row * columns + column] = low + step * q;
-      }
-    } else {
-      const table = Float32Array.from({ length: 256 }, (_, q) => low + step * steps(q, curved));
-      for (let row = 0; row < rows; row++) out[row * columns + column] = table[raw[at + row]];
-    }
-    at += rows * (wide ? 2 : 1);
+    const [low, step] = parametersOf(raw, column, [steps(0, curved), steps(255, curved)], where);
+    const table = Float32Array.from({ length: 256 }, (_, q) => low + step * steps(q, curved));
+    for (let row = 0; row < rows; row++) out[row * columns + column] = table[raw[at++]];
   }
+}
+
+/** The least value of a column and its step, with which values of so many steps are finite. */
+function parametersOf(raw: Uint8Array, column: number, steps: [least: number, most: number], where: string): [low: number, step: number] {
+  const view = new DataView(raw.buffer, raw.byteOffset, raw.byteLength);
+  const [low, step] = [0, 4].map((at) => view.getFloat32(column * PARAMETER_BYTES + at, true));
+  if (!(step >= 0 && steps.every((q) => Math.abs(low + step * q) <= LARGEST))) {
+    const found = `low ${low} and step ${step} in column ${column}`;
+    throw mismatch("ValueRangeError", where, found, "finite values");
+  }
+  return [low, step];
 }
 
 function steps(q: number, curved: boolean): number {
