@@ -51,6 +51,9 @@ void look(int splat, out uvec4 one, out uvec4 two) {
   if (splat >= limit) two.w &= 0xffffu;
 }`;
 
+/** 2 ln 2: as exponents of 2 are what devices compute. */
+const UNIT = 1.3862944;
+
 /** Uniforms of `LOOK`. */
 export const LOOK_NAMES = ["words", "before", "times", "limit", "changing", "time", "fade"] as const;
 
@@ -70,12 +73,13 @@ bool project(vec3 p, mat3 turn, uvec4 one, uvec4 two, vec2 corner, out vec2 pixe
   if (opacity < 1.0 / 255.0) return false;
   float xx = uintBitsToFloat(one.x), xy = uintBitsToFloat(one.y), xz = uintBitsToFloat(one.z);
   float yy = uintBitsToFloat(one.w), yz = uintBitsToFloat(two.x), zz = uintBitsToFloat(two.y);
-  mat3 covariance = turn * mat3(xx, xy, xz, xy, yy, yz, xz, yz, zz) * transpose(turn);
+  mat3 covariance = mat3(xx, xy, xz, xy, yy, yz, xz, yz, zz);
   vec2 ratio = p.xy / p.z;
   vec2 most = 1.3 * 0.5 * size / focal;
   vec2 held = clamp(ratio, -most, most);
-  vec3 jx = vec3(focal.x, 0.0, -focal.x * held.x) / p.z;
-  vec3 jy = vec3(0.0, focal.y, -focal.y * held.y) / p.z;
+  // Rows of the Jacobian in the world's axes: to turn them takes less than to turn the covariance.
+  vec3 jx = vec3(focal.x, 0.0, -focal.x * held.x) / p.z * turn;
+  vec3 jy = vec3(0.0, focal.y, -focal.y * held.y) / p.z * turn;
   vec3 cx = covariance * jx, cy = covariance * jy;
   float a = dot(jx, cx), b = dot(jx, cy), c = dot(jy, cy);
   vec2 own = vec2(a, c) + dilations.x;
@@ -83,16 +87,11 @@ bool project(vec3 p, mat3 turn, uvec4 one, uvec4 two, vec2 corner, out vec2 pixe
   c += dilations.y;
   if (dilations.x < dilations.y) opacity *= sqrt(clamp((own.x * own.y - b * b) / (a * c - b * b), 0.0, 1.0));
   if (opacity < 1.0 / 255.0) return false;
-  float mean = 0.5 * (a + c);
-  float spread = length(vec2(0.5 * (a - c), b));
-  float large = mean + spread, small = max(mean - spread, 1e-9);
-  // The longer of two ways to write the first axis, so that neither cancels out.
-  vec2 axis = a >= c ? vec2(0.5 * (a - c) + spread, b) : vec2(b, 0.5 * (c - a) + spread);
-  axis = dot(axis, axis) > 0.0 ? normalize(axis) : vec2(1.0, 0.0);
-  float cut = sqrt(2.0 * log(255.0 * opacity));
-  place = corner * cut;
+  // A square root of the covariance, from its larger side, in units in which a Gaussian is 2^-r².
+  float wide = sqrt(${UNIT} * max(a, c)), skew = ${UNIT} * b / wide, thin = sqrt(max(${UNIT} * min(a, c) - skew * skew, 1e-9));
+  place = corner * sqrt(log2(255.0 * opacity));
   pixel = focal * ratio + middle
-    + place.x * sqrt(large) * axis + place.y * sqrt(small) * vec2(-axis.y, axis.x);
+    + (a >= c ? vec2(wide * place.x, skew * place.x + thin * place.y) : vec2(skew * place.x - thin * place.y, wide * place.x));
   color = vec4(rg, ba.x, opacity);
   return true;
 }`;
@@ -129,7 +128,7 @@ export const ALPHA = `
 in vec2 place;
 flat in vec4 color;
 float alphaAt() {
-  float alpha = min(0.99, color.a * exp(-0.5 * dot(place, place)));
+  float alpha = min(0.99, color.a * exp2(-dot(place, place)));
   if (alpha < 1.0 / 255.0) discard;
   return alpha;
 }`;
