@@ -114,6 +114,40 @@ def test_what_is_out_of_sight_makes_room_and_comes_back(shape: Shape, tmp_path: 
     assert not read_twice(spans), "what comes back is decoded from the bytes that were kept"
 
 
+SMALL_TEXTURES = """
+globalThis.heights = [];
+const { getParameter, texStorage2D } = WebGL2RenderingContext.prototype;
+Object.assign(WebGL2RenderingContext.prototype, {
+  getParameter(name) {
+    return name === this.MAX_TEXTURE_SIZE ? MOST : getParameter.call(this, name);
+  },
+  texStorage2D(...options) {
+    heights.push(options[4]);
+    texStorage2D.apply(this, options);
+  },
+});
+"""
+
+
+@needs_browser
+def test_a_device_of_small_textures_is_given_none_that_is_larger(tmp_path: Path) -> None:
+    """A texture that a device cannot make stays empty, and so did the picture."""
+    rows = 16
+    file, splats = wide(PLAIN_SPLATS, tmp_path)
+    assert splats > 1024 * rows
+    steps = [
+        {"wait": "complete"},
+        {"name": "heights", "script": "heights"},
+        {"name": "drawn", "script": "viewer().scene.settled().then(() => viewer().scene.drawn)"},
+    ]
+    with serving(Watched(file)) as address:
+        init = SMALL_TEXTURES.replace("MOST", str(rows))
+        found = visit(f"{address}/?noui", tmp_path, steps, init=init)
+    assert not found.times("error")
+    assert max(found.results["heights"]) == rows
+    assert found.results["drawn"] > 512 * rows
+
+
 @needs_browser
 @pytest.mark.parametrize(("query", "most"), [("", 10_000), ("&budget=20000", 20_000)])
 def test_a_device_of_little_memory_holds_fewer_splats(

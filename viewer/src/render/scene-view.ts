@@ -8,7 +8,7 @@ import { ViewerError, asViewerError } from "../base/errors";
 import { DecoderClient, workerStopped } from "../decode/client";
 import type { SceneOptions, SceneEvents } from "./scene-options";
 import type { FromDecoder, SceneFacts, Side, Sorted, ToDecoder, ToSorter } from "../decode/messages";
-import { SideView, capacityOf } from "./side";
+import { SideView, capacityOf, roomWithin } from "./side";
 import { Renderer } from "./renderer";
 import type { AnyRenderer, Backend, Frame, SorterPort } from "./backend";
 import { FramePace } from "./frame-pace";
@@ -187,7 +187,7 @@ export class SceneView {
 
   private orderOf(source: string | Blob, name: string): Extract<ToDecoder, { type: "open" }> {
     const { plain, budget } = this.options;
-    return { type: "open", source, name, budget: Math.min(budget, this.renderer.most), plain, cores: navigator.hardwareConcurrency };
+    return { type: "open", source, name, budget: Math.min(budget, roomWithin(this.renderer.most)), plain, cores: navigator.hardwareConcurrency };
   }
 
   private makePane(side: Side, facts: SceneFacts): SideView {

@@ -145,3 +145,8 @@ export class SideView {
 export function capacityOf(facts: SceneFacts, level: number): number {
   return Math.ceil(Math.min(facts.room, facts.levels[level].live) / SLOTS_PER_MESSAGE + 1) * SLOTS_PER_MESSAGE;
 }
+
+/** Splats of a scene that has a capacity at most. */
+export function roomWithin(capacity: number): number {
+  return capacity - SLOTS_PER_MESSAGE;
+}
