@@ -40,8 +40,8 @@ try {
         .then(({ count }) => { globalThis.loaded = { count, at: Date.now() }; }, (error) => { globalThis.refused = String(error); });
     }, { job, url: `${address}/files/${job.url}` });
   }
-  await until(page, "globalThis.loaded");
-  await until(page, "globalThis.isStill()");
+  await until(page, "globalThis.loaded", "never all loaded");
+  await until(page, "globalThis.isStill()", "its picture never stood still");
   const { first, changed, loaded } = await page.evaluate("globalThis.found()");
   const found = { count: loaded.count, first_s: (first - begun) / 1000, loaded_s: (loaded.at - begun) / 1000, all_s: (changed - begun) / 1000 };
   for (const path of job.paths) {
@@ -69,11 +69,11 @@ try {
   process.exit(0);
 }
 
-async function until(page, script) {
+async function until(page, script, waited) {
   const end = Date.now() + job.patience;
   while (!(await page.evaluate(script))) {
     const refused = await page.evaluate("globalThis.refused");
-    if (refused || Date.now() > end) throw new Error(refused ?? `never: ${script}`);
+    if (refused || Date.now() > end) throw new Error(refused ?? `${waited}`);
     await page.waitForTimeout(100);
   }
 }
@@ -122,7 +122,7 @@ async function serve() {
     else if (path.startsWith("/files/")) send("application/octet-stream", join(request.files, path.slice(7)));
     else if (path === "/page") {
       answer.setHeader("content-type", "text/html");
-      answer.end(`<!doctype html><body style="margin:0;background:#000"><canvas width=${width} height=${height} style="display:block;width:${width}px;height:${height}px"></canvas><script type=module src=/bundle.js></script>`);
+      answer.end(`<!doctype html><link rel=icon href=data:,><body style="margin:0;background:#000"><canvas width=${width} height=${height} style="display:block;width:${width}px;height:${height}px"></canvas><script type=module src=/bundle.js></script>`);
     } else answer.writeHead(404).end();
   });
   await new Promise((done) => { server.listen(0, "127.0.0.1", done); });

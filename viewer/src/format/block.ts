@@ -19,7 +19,7 @@ export type Block = {
   readonly logScales: Values; // [fresh, 6], of splats [fresh, 3]
   readonly codes: Uint8Array; // [fresh], or [0] without a codebook; of splats [fresh, S]
   readonly residual: Values; // [fresh, R]
-  /** What 0 stands for in each column of `logScales`, then of `residual`, and what 1 adds to it. */
+  /** The least value and the step of each column of `logScales`, then of `residual`: 0 and 1 of those that are values. */
   readonly affine: Float32Array; // of splats [3 + R, 2], else [0]
   readonly mask: Uint8Array; // bits, lowest first, of slots that were off before; of splats none
   readonly offsets: Float32Array; // [added, 3], of splats [0]
