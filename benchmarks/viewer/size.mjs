@@ -73,7 +73,7 @@ async function until(page, script, waited) {
   const end = Date.now() + job.patience;
   while (!(await page.evaluate(script))) {
     const refused = await page.evaluate("globalThis.refused");
-    if (refused || Date.now() > end) throw new Error(refused ?? `${waited}`);
+    if (refused || Date.now() > end) throw new Error(refused ?? waited);
     await page.waitForTimeout(100);
   }
 }
