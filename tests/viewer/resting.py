@@ -27,6 +27,8 @@ globalThis.watchFrames = () => {
     last.fillRect(0, 0, width, height);
     last.drawImage(canvas, 0, 0);
   };
+  // What was drawn last may have been drawn before.
+  scene.wake();
 };
 // What is on the canvas once the last change is sorted on its side and no frame follows by itself.
 // Nothing is asked for meanwhile: that would tell workers of the camera.

@@ -38,9 +38,7 @@ UNSEEN = "globalThis.unseen = true;"
 def test_a_page_that_says_nothing_ends_with_the_same_picture(made: Any, tmp_path: Path) -> None:
     """How often splats are decoded then, test_splats.py tests where no timing decides it."""
     (path, query) = made(tmp_path)
-    # The last frame may have been drawn before any was watched.
-    again = {"name": "_", "script": "viewer().scene.wake()"}
-    steps = [*READY, {"until": SETTLED}, again, {"name": "last", "script": "atRest(0)"}]
+    steps = [*READY, {"until": SETTLED}, {"name": "last", "script": "atRest(0)"}]
     with pages(path) as address:
         url = f"{address}/?noui{query}"
         seen = visit(url, tmp_path, steps, init=AT_REST + WATCHED).results

@@ -116,11 +116,11 @@ function decodeStepped(
   }
 }
 
-/** The least value of a column and its step, with which values of so many steps are finite. */
-function parametersOf(raw: Uint8Array, column: number, steps: [least: number, most: number], where: string): [low: number, step: number] {
+/** The least value of a column and its step, with which values of the fewest and the most steps are finite. */
+function parametersOf(raw: Uint8Array, column: number, ends: [least: number, most: number], where: string): [low: number, step: number] {
   const view = new DataView(raw.buffer, raw.byteOffset, raw.byteLength);
   const [low, step] = [0, 4].map((at) => view.getFloat32(column * PARAMETER_BYTES + at, true));
-  if (!(step >= 0 && steps.every((q) => Math.abs(low + step * q) <= LARGEST))) {
+  if (!(step >= 0 && ends.every((q) => Math.abs(low + step * q) <= LARGEST))) {
     const found = `low ${low} and step ${step} in column ${column}`;
     throw mismatch("ValueRangeError", where, found, "finite values");
   }

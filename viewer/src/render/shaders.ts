@@ -51,11 +51,11 @@ void look(int splat, out uvec4 one, out uvec4 two) {
   if (splat >= limit) two.w &= 0xffffu;
 }`;
 
-/** 2 ln 2: as exponents of 2 are what devices compute. */
-const UNIT = 1.3862944;
-
 /** Uniforms of `LOOK`. */
 export const LOOK_NAMES = ["words", "before", "times", "limit", "changing", "time", "fade"] as const;
+
+/** 2 ln 2: devices compute exponents of 2. */
+const UNIT = 1.3862944;
 
 /** The picture of a splat: for vertex shaders, ours and those of other engines. */
 export const PROJECT = `
